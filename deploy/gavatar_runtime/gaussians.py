@@ -1,0 +1,40 @@
+"""The Gaussians that every half of gavatar speaks of."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+
+@dataclasses.dataclass
+class Gaussians:
+    """N Gaussians in the world. Arrays are NumPy in the player and torch tensors in training, all of one dtype.
+
+    means: (N, 3) metres. scales: (N,) standard deviation in metres, or (N, 3) along the axes of `quaternions`.
+    colors: (N, 3) display-referred sRGB in [0, 1]. opacities: (N,) in [0, 1]; absent means 1.
+    quaternions: (N, 4) wxyz; absent means the identity.
+    """
+
+    means: Any
+    scales: Any
+    colors: Any
+    opacities: Any = None
+    quaternions: Any = None
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+@dataclasses.dataclass
+class Rendering:
+    """What a rasterizer returns, arrays of the same kind as the Gaussians.
+
+    color: (H, W, 3) composited over the background. alpha: (H, W) = 1 - final transmittance.
+    depth: (H, W) sum of weight x camera z, metres (not divided by alpha).
+    dropped: Gaussians ignored because a field was NaN or infinite.
+    """
+
+    color: Any
+    alpha: Any
+    depth: Any
+    dropped: int = 0
