@@ -11,7 +11,7 @@ import dataclasses
 import functools
 import importlib
 import importlib.metadata
-import pkgutil
+import pathlib
 import warnings
 
 from gavatar_runtime.motions import MOTIONS
@@ -44,8 +44,12 @@ class PluginFailure:
 def _builtin_modules() -> list[str]:
     import gavatar_plugins  # a namespace package: other distributions may add modules to it
 
-    found = pkgutil.walk_packages(gavatar_plugins.__path__, "gavatar_plugins.")
-    return sorted(module.name for module in found if not module.ispkg)
+    # not pkgutil.walk_packages: it passes over folders without __init__.py, which every room of a namespace is
+    found = set()
+    for root in map(pathlib.Path, gavatar_plugins.__path__):
+        files = (path.relative_to(root).with_suffix("") for path in root.rglob("*.py") if path.name != "__init__.py")
+        found.update(".".join(("gavatar_plugins", *file.parts)) for file in files)
+    return sorted(found)
 
 
 @functools.cache
