@@ -11,7 +11,7 @@ import dataclasses
 import functools
 import importlib
 import importlib.metadata
-import pathlib
+import pkgutil
 import warnings
 
 from gavatar_runtime.motions import MOTIONS
@@ -26,6 +26,7 @@ CAPTURES: Registry = Registry("capture_format")
 
 REGISTRIES: tuple[Registry, ...] = (BODIES, ENCODERS, DECODERS, RASTERIZERS, LOSSES, CAPTURES, MOTIONS)
 ENTRY_POINT_GROUP = "gavatar.plugins"
+PLUGIN_ROOMS = ("bodies", "captures", "decoders", "encoders", "losses", "rasterizers")
 
 __all__ = [
     "BODIES", "CAPTURES", "DECODERS", "ENCODERS", "LOSSES", "MOTIONS", "RASTERIZERS", "REGISTRIES",
@@ -42,14 +43,13 @@ class PluginFailure:
 
 
 def _builtin_modules() -> list[str]:
-    import gavatar_plugins  # a namespace package: other distributions may add modules to it
+    """Every module in a room of the namespace package, wherever its portions are installed.
 
-    # not pkgutil.walk_packages: it passes over folders without __init__.py, which every room of a namespace is
-    found = set()
-    for root in map(pathlib.Path, gavatar_plugins.__path__):
-        files = (path.relative_to(root).with_suffix("") for path in root.rglob("*.py") if path.name != "__init__.py")
-        found.update(".".join(("gavatar_plugins", *file.parts)) for file in files)
-    return sorted(found)
+    Each room is asked by name, since neither walking folders nor `pkgutil.walk_packages` sees the rooms of a namespace
+    package that is installed in editable mode.
+    """
+    rooms = [importlib.import_module(f"gavatar_plugins.{room}") for room in PLUGIN_ROOMS]
+    return sorted(module.name for room in rooms for module in pkgutil.iter_modules(room.__path__, f"{room.__name__}."))
 
 
 @functools.cache
