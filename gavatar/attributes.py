@@ -1,0 +1,43 @@
+"""What a decoder says of each surface point, and the contract of decoders and encoders."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Protocol
+
+from torch import Tensor
+
+
+@dataclasses.dataclass
+class Attributes:
+    """Per-point output of a decoder, in the canonical pose.
+
+    offsets: (..., N, 3) metres from the surface point. colors: (..., N, 3) in [0, 1]. scales: (..., N) metres, >= 0.
+    """
+
+    offsets: Tensor
+    colors: Tensor
+    scales: Tensor
+
+
+class Decoder(Protocol):
+    """A component of the `decoder` registry: an nn.Module built as `factory(config, in_channels=C)`.
+
+    `forward(features (P, C), uv (P, 2), spacing (P,)) -> Attributes` of P points. `spacing` is the distance in metres
+    between neighbouring points, the natural unit of a Gaussian's scale. Everything must be exportable to ONNX. An
+    optional `on_step(step)` is called before each training step of stage 1.
+    """
+
+    def __call__(self, features: Tensor, uv: Tensor, spacing: Tensor) -> Attributes: ...
+
+
+class Encoder(Protocol):
+    """A component of the `encoder` registry: an nn.Module built as `factory(config, channels=C, map_size=None)`,
+    or None for a static avatar. `map_size` is the side of the positional map it wants.
+
+    `forward(positional_map (B, 3, M, M)) -> (B, C, M, M)` pose features, added to the learnable features.
+    """
+
+    map_size: int
+
+    def __call__(self, positional_map: Tensor) -> Tensor: ...

@@ -1,0 +1,98 @@
+"""The avatar: learnable features + encoder + decoder on a body's surface, posed into Gaussians.
+
+    G(beta, theta, D, P) = Splatting(LBS(D, J(beta), theta, w), P),   D = T(beta) + dT      (paper, equation 4)
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.gaussians import Gaussians
+from gavatar_runtime.surface import Surface
+
+from .attributes import Attributes
+from .body import Skeleton
+from .skinning import skin, skinning_weights
+
+
+@dataclasses.dataclass
+class AvatarConfig:
+    """features: channels of the learnable tensor. feature_size: its side. smoothing: three linear 5x5 convolutions on
+    it (upstream; folded away at export). init_std: of the tensor's initial values."""
+
+    features: int = 64
+    feature_size: int = 128
+    smoothing: bool = False
+    init_std: float = 0.1
+
+
+def sample_uv(maps: Tensor, uv: Tensor) -> Tensor:
+    """maps: (B, C, R, R). uv: (N, 2) in [0, 1], v down -> (B, N, C), bilinear, texel centres at (i + 0.5)/R, the edge
+    texel continuing outwards (upstream pads with zero, which darkens the atlas' border)."""
+    grid = (2 * uv - 1)[None, None].expand(len(maps), -1, -1, -1)
+    return F.grid_sample(maps, grid, padding_mode="border", align_corners=False)[:, :, 0].transpose(1, 2)
+
+
+class Avatar(nn.Module):
+    """One person's avatar. Its parameters: `features`, `smooth`, `encoder`, `decoder`; all else is derived.
+
+    encoder: None for a static avatar. The sampled surface is not part of the state: `sample_at` may replace it by a
+    denser or sparser sampling of the same body at any time (coarse-to-fine training, level of detail).
+    """
+
+    def __init__(self, config: AvatarConfig, skeleton: Skeleton, encoder: nn.Module | None, decoder: nn.Module):
+        super().__init__()
+        self.config, self.skeleton = config, skeleton
+        self.encoder, self.decoder = encoder, decoder
+        size = config.feature_size
+        self.features = nn.Parameter(config.init_std * torch.randn(1, config.features, size, size))
+        self.smooth = nn.Sequential()
+        if config.smoothing:
+            convs = (nn.Conv2d(config.features, config.features, 5, padding=2, bias=False) for _ in range(3))
+            self.smooth = nn.Sequential(*convs)
+        self.surface: Surface | None = None
+
+    def sample_at(self, surface: Surface) -> None:
+        """Place the Gaussians on the points of `surface`."""
+        device, dtype = self.features.device, self.features.dtype
+        self.surface = surface
+        for name, values in {
+            "points": torch.as_tensor(surface.points, dtype=dtype),
+            "weights": skinning_weights(surface, len(self.skeleton.parents), dtype),
+            "uv": torch.as_tensor(surface.uv, dtype=dtype),
+            "spacing": torch.as_tensor(surface.spacing, dtype=dtype),
+        }.items():
+            self.register_buffer(name, values.to(device), persistent=False)
+
+    def attributes(self, pose_features: Tensor | None = None) -> Attributes:
+        """Decode every point. pose_features: (B, C, M, M) or None -> Attributes with leading B (1 when None)."""
+        if self.surface is None:
+            raise UserError("the avatar has no points yet: call sample_at first")
+        features = sample_uv(self.smooth(self.features), self.uv)
+        if pose_features is not None:
+            features = features + sample_uv(pose_features, self.uv)
+        B, N, C = features.shape
+        out = self.decoder(features.reshape(B * N, C), self.uv.repeat(B, 1), self.spacing.repeat(B))
+        return Attributes(out.offsets.view(B, N, 3), out.colors.view(B, N, 3), out.scales.view(B, N))
+
+    def encode(self, positional_maps: Tensor | None) -> Tensor | None:
+        """(B, 3, M, M) root-relative positional maps -> pose features, or None for a static avatar."""
+        if self.encoder is None or positional_maps is None:
+            return None
+        return self.encoder(positional_maps)
+
+    def pose(self, attributes: Attributes, rotations: Tensor, trans: Tensor) -> list[Gaussians]:
+        """Pose decoded points. rotations: (B, J, 3, 3) local joint rotations. trans: (B, 3) metres. Attributes with a
+        leading 1 serve every pose. Returns B sets of isotropic Gaussians in the world, opacity 1."""
+        transforms = self.skeleton.canonical_to_posed(rotations)
+        means = skin(self.points + attributes.offsets, self.weights, transforms) + trans[:, None]
+        last = len(attributes.colors) - 1
+        return [
+            Gaussians(means[b], attributes.scales[min(b, last)], attributes.colors[min(b, last)])
+            for b in range(len(rotations))
+        ]
