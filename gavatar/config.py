@@ -1,0 +1,130 @@
+"""The typed configuration of training, composed by Hydra and checked before any work starts."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import MISSING, DictConfig, OmegaConf
+
+from gavatar_runtime.errors import UserError
+
+from .avatar import AvatarConfig
+from .registry import BODIES, DECODERS, ENCODERS, LOSSES, RASTERIZERS, fill_config_store, load_plugins
+
+
+@dataclasses.dataclass
+class LevelConfig:
+    """One level of coarse-to-fine training. until: fraction of the stage at which it ends. uv: side of the surface
+    atlas (its texels are the Gaussians). image: scale of the images."""
+
+    until: float = 1.0
+    uv: int = 128
+    image: float = 1.0
+
+
+@dataclasses.dataclass
+class StageConfig:
+    """One training stage. steps: optimiser steps (0 skips the stage). batch: views a step. lr_*: learning rates.
+    lr_final: the last rate as a fraction of the first, reached by a cosine. levels: coarse to fine. In stage 2
+    the feature tensor is frozen, as published, and lr_features is not used."""
+
+    steps: int = 1000
+    batch: int = 4
+    lr_decoder: float = 3e-3
+    lr_features: float = 5e-4
+    lr_encoder: float = 1e-3
+    lr_final: float = 0.05
+    levels: list[LevelConfig] = dataclasses.field(default_factory=lambda: [LevelConfig()])
+
+
+@dataclasses.dataclass
+class MotionConfig:
+    """How the body motion is optimised in stage 1. enabled: off gives the paper's baseline. lr: radians a step;
+    lr_trans: metres a step. start, end: fractions of the stage between which it is optimised. joints: how many of the
+    first joints are corrected."""
+
+    enabled: bool = True
+    lr: float = 5e-3
+    lr_trans: float = 2e-3
+    start: float = 0.0
+    end: float = 1.0
+    joints: int = 22
+
+
+@dataclasses.dataclass
+class TrainConfig:
+    """Everything a run needs. capture: directory. out: run directory. background: `random` colour each step, `white`
+    or `black`. crop: render only the window in which the person moves. preview_every, checkpoint_every: steps.
+    overwrite: start afresh even if `out` holds another run."""
+
+    capture: str = MISSING
+    out: str = MISSING
+    seed: int = 0
+    device: str = "auto"
+    threads: int = 0
+    overwrite: bool = False
+    background: str = "random"
+    crop: bool = True
+    train_split: str = "train"
+    preview_every: int = 200
+    checkpoint_every: int = 100
+    tensorboard: bool = False
+    progress: bool = True
+    body: Any = MISSING
+    encoder: Any = MISSING
+    decoder: Any = MISSING
+    rasterizer: Any = MISSING
+    capture_format: Any = MISSING
+    avatar: AvatarConfig = dataclasses.field(default_factory=AvatarConfig)
+    motion: MotionConfig = dataclasses.field(default_factory=MotionConfig)
+    stage1: StageConfig = dataclasses.field(default_factory=StageConfig)
+    stage2: StageConfig = dataclasses.field(default_factory=StageConfig)
+    losses: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def register_configs() -> None:
+    """Load the plugins and put the schema and every component into Hydra's ConfigStore."""
+    load_plugins()
+    fill_config_store()
+    ConfigStore.instance().store(name="train_schema", node=TrainConfig, provider="gavatar")
+
+
+def check(config: DictConfig) -> TrainConfig:
+    """The composed configuration as dataclasses, every value checked; UserError names the field that is wrong."""
+    if OmegaConf.is_missing(config, "capture"):
+        raise UserError("no capture given: add capture=DIR (for a first try: gavatar-demo)")
+    plain = OmegaConf.to_container(config, resolve=True)
+    fields = {f.name for f in dataclasses.fields(TrainConfig)}
+    typed = TrainConfig(**{k: v for k, v in plain.items() if k in fields})
+    typed.avatar = AvatarConfig(**plain["avatar"])
+    typed.motion = MotionConfig(**plain["motion"])
+    for stage in ("stage1", "stage2"):
+        values = dict(plain[stage])
+        values["levels"] = [LevelConfig(**level) for level in values["levels"]]
+        setattr(typed, stage, StageConfig(**values))
+        _check_stage(stage, getattr(typed, stage))
+    for registry in (BODIES, ENCODERS, DECODERS, RASTERIZERS):
+        node = plain[registry.group]
+        registry.options(node["name"], node)
+    for name, value in typed.losses.items():
+        LOSSES.options(name, value if isinstance(value, dict) else {"weight": value})
+    if typed.background not in ("random", "white", "black"):
+        raise UserError(f"background must be random, white or black, not '{typed.background}'")
+    if not 0 <= typed.motion.start <= typed.motion.end <= 1:
+        raise UserError("motion.start and motion.end must be fractions with 0 <= start <= end <= 1")
+    return typed
+
+
+def _check_stage(name: str, stage: StageConfig) -> None:
+    if stage.steps < 0 or stage.batch < 1:
+        raise UserError(f"{name}.steps must be at least 0 and {name}.batch at least 1")
+    if not stage.levels:
+        raise UserError(f"{name}.levels must list at least one level")
+    ends = [level.until for level in stage.levels]
+    if ends != sorted(ends) or ends[-1] != 1.0 or ends[0] <= 0:
+        raise UserError(f"{name}.levels: 'until' must rise to 1.0, not {ends}")
+    for level in stage.levels:
+        if level.uv < 1 or not 0 < level.image <= 4:
+            raise UserError(f"{name}.levels: uv must be positive and image within (0, 4], not {level}")

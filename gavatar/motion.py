@@ -1,0 +1,86 @@
+"""The motion table: every frame's pose and translation, as estimated plus a learnable correction."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from gavatar_runtime.body import SMPL_BODY_JOINTS, check_motion_fits
+from gavatar_runtime.motion import Motion
+from gavatar_runtime.rotations import axis_angle_from_matrix
+
+from .rotations import matrix_from_axis_angle
+
+
+class MotionTable(nn.Module):
+    """Poses of T frames, optimised jointly with the appearance (paper, section 4.3).
+
+    A correction is a rotation vector composed with the estimated rotation, `R = R_estimated exp(correction)`: it stays
+    small, so nothing wraps at pi, whatever the estimate's own axis-angle does. `joints`: how many of the first joints
+    are corrected (the 22 body joints by default; fingers are hardly ever seen well enough).
+
+    rotation_correction: (T, joints, 3) radians. trans_correction: (T, 3) metres. Both start at zero.
+    """
+
+    def __init__(self, motion: Motion, num_joints: int, joints: int = SMPL_BODY_JOINTS):
+        super().__init__()
+        self.fps, self.betas = motion.fps, motion.betas
+        poses = check_motion_fits(np.asarray(motion.poses, np.float32), num_joints)
+        trans = np.asarray(motion.trans, np.float32)
+        initial = matrix_from_axis_angle(torch.as_tensor(poses, dtype=torch.float64)).float()
+        self.register_buffer("initial_rotations", initial, persistent=False)
+        self.register_buffer("initial_trans", torch.as_tensor(trans), persistent=False)
+        self.joints = min(joints, num_joints)
+        self.rotation_correction = nn.Parameter(torch.zeros(len(poses), self.joints, 3))
+        self.trans_correction = nn.Parameter(torch.zeros(len(poses), 3))
+
+    def __len__(self) -> int:
+        return len(self.initial_trans)
+
+    def forward(self, frames: Tensor | slice | list[int] = slice(None)) -> tuple[Tensor, Tensor]:
+        """Corrected (B, J, 3, 3) local rotations and (B, 3) translations of the given frames (all by default)."""
+        initial = self.initial_rotations[frames]
+        corrected = initial[:, : self.joints] @ matrix_from_axis_angle(self.rotation_correction[frames])
+        rotations = torch.cat([corrected, initial[:, self.joints :]], 1)
+        return rotations, self.initial_trans[frames] + self.trans_correction[frames]
+
+    @torch.no_grad()
+    def motion(self, name: str = "refined") -> Motion:
+        """The corrected motion as plain arrays."""
+        rotations, trans = self()
+        poses = axis_angle_from_matrix(rotations.double().cpu().numpy()).astype(np.float32)
+        return Motion(poses, trans.cpu().numpy(), self.fps, self.betas, name)
+
+
+class RowAdam(torch.optim.Optimizer):
+    """Adam that touches only the given rows of its parameters, each with its own step count.
+
+    A batch shows a few frames; with dense Adam the others would drift on by momentum, and their second moments would
+    decay between visits. (torch.optim.SparseAdam needs sparse gradients, which a table read by slices and by a
+    smoothness term does not have; Kingma & Ba 2015, algorithm 1, row by row.)
+    """
+
+    def __init__(self, parameters, lr: float = 1e-3, betas: tuple[float, float] = (0.9, 0.99), eps: float = 1e-10):
+        super().__init__(parameters, {"lr": lr, "betas": betas, "eps": eps})
+
+    @torch.no_grad()
+    def step(self, rows: Tensor) -> None:  # type: ignore[override]
+        """rows: (B,) int64 distinct rows to update."""
+        for group in self.param_groups:
+            beta1, beta2 = group["betas"]
+            for p in group["params"]:
+                if p.grad is None:
+                    continue
+                state = self.state[p]
+                if not state:
+                    state["count"] = torch.zeros(len(p), dtype=p.dtype, device=p.device)
+                    state["first"], state["second"] = torch.zeros_like(p), torch.zeros_like(p)
+                g = p.grad[rows]
+                state["count"][rows] += 1
+                count = state["count"][rows].view(-1, *[1] * (p.dim() - 1))
+                first = state["first"][rows].lerp(g, 1 - beta1)
+                second = state["second"][rows] * beta2 + (1 - beta2) * g * g
+                state["first"][rows], state["second"][rows] = first, second
+                update = (first / (1 - beta1**count)) / ((second / (1 - beta2**count)).sqrt() + group["eps"])
+                p[rows] -= group["lr"] * update
