@@ -1,5 +1,14 @@
-"""Motion sources the player can read: files by their format, and built-in motions by name."""
+"""Motion sources the player can read: files by their format, and built-in motions by name.
 
-from ..registry import Registry
+Every module of this folder that registers a class adds one source; nothing else has to name it.
+"""
 
-MOTIONS: Registry = Registry("motion")
+import importlib
+import pkgutil
+
+from .source import MOTIONS, read_motion
+
+__all__ = ["MOTIONS", "read_motion"]
+
+for _module in pkgutil.iter_modules(__path__):
+    importlib.import_module(f"{__name__}.{_module.name}")

@@ -1,0 +1,74 @@
+"""The registry of motion sources, and how a name or a file finds its own."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any, Protocol
+
+from ..errors import UserError, did_you_mean
+from ..motion import Motion
+from ..registry import Component, Registry
+
+PLUGIN_GROUP = "gavatar.plugins"
+
+
+class MotionSource(Protocol):
+    """What a registered class does. A built-in motion is constructed as `factory(config)`; a file format has the class
+    attribute `suffixes`, lower case and with their dots, and is constructed as `factory(config, path=path)`."""
+
+    suffixes: tuple[str, ...]
+
+    def load(self) -> Motion:
+        """The motion; UserError for whatever is wrong with the file or the options."""
+
+
+MOTIONS: Registry[MotionSource] = Registry("motion")
+
+
+def read_motion(source: str | Path, **options: Any) -> Motion:
+    """The motion called `source` (a built-in name, `turn`) or stored in the file `source`, by its suffix.
+
+    options: of that motion's config dataclass. Plugins are imported only when no built-in source fits, so that playing
+    stays free of whatever they import. Raises UserError for an unknown name or suffix, a missing file, a wrong option.
+    """
+    component = _find(source)
+    if component is None:
+        _load_plugins()
+        component = _find(source)
+    if component is None:
+        raise UserError(_unknown(str(source)))
+    if not _suffixes(component):
+        return MOTIONS.build(component.name, options).load()
+    path = Path(source)
+    if not path.is_file():
+        raise UserError(f"motion file {path} {'is a directory' if path.is_dir() else 'does not exist'}")
+    return MOTIONS.build(component.name, options, path=path).load()
+
+
+def _suffixes(component: Component) -> tuple[str, ...]:
+    return getattr(component.factory, "suffixes", ())
+
+
+def _find(source: str | Path) -> Component | None:
+    if isinstance(source, str) and source in MOTIONS and not _suffixes(MOTIONS[source]):
+        return MOTIONS[source]
+    suffix = Path(source).suffix.lower()
+    return next((c for c in MOTIONS if suffix in _suffixes(c)), None)
+
+
+def _unknown(source: str) -> str:
+    names = [c.name for c in MOTIONS if not _suffixes(c)]
+    suffixes = sorted({s for c in MOTIONS for s in _suffixes(c)})
+    hint = did_you_mean(source, names)
+    return f"unknown motion '{source}': give a file ({', '.join(suffixes)}) or a built-in name, {hint}"
+
+
+def _load_plugins() -> None:
+    import importlib.metadata
+
+    for point in importlib.metadata.entry_points(group=PLUGIN_GROUP):
+        try:
+            point.load()
+        except Exception as error:  # a broken plugin must not hide the others
+            warnings.warn(f"plugin {point.name} was skipped: {type(error).__name__}: {error}", stacklevel=3)

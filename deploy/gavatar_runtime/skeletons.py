@@ -1,0 +1,52 @@
+"""The joint names of the SMPL family: which rotation of a motion belongs to which joint of a body.
+
+SMPL, SMPL-H and SMPL-X agree on the first 22 joints and on nothing after them: joint 22 is a hand, a finger or the jaw.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from .body import check_motion_fits
+from .motion import Motion
+
+BODY = (
+    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
+    "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
+    "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
+)  # fmt: skip
+FINGERS = tuple(
+    f"{side}_{finger}{i}"
+    for side in ("left", "right")
+    for finger in ("index", "middle", "pinky", "ring", "thumb")
+    for i in (1, 2, 3)
+)
+SMPL = (*BODY, "left_hand", "right_hand")
+SMPLH = (*BODY, *FINGERS)
+SMPLX = (*BODY, "jaw", "left_eye_smplhf", "right_eye_smplhf", *FINGERS)
+_BY_COUNT = {len(names): names for names in (BODY, SMPL, SMPLH, SMPLX)}
+
+
+def fit_motion(motion: Motion, joint_names: tuple[str, ...]) -> tuple[Motion, tuple[str, ...]]:
+    """The motion with one rotation for each of `joint_names`, and the names of the joints that move in it but that
+    the body lacks.
+
+    A motion does not name its joints: their number (22, 24, 52 or 55) tells the skeleton. Joints that the motion lacks
+    keep their rest rotation. With any other number the joints are taken to be in the body's order.
+    """
+    count = motion.poses.shape[1]
+    names = tuple(joint_names) if count == len(joint_names) else _BY_COUNT.get(count)
+    if names is None or not set(BODY) <= set(joint_names):
+        surplus = tuple(f"joint {j}" for j in range(len(joint_names), count) if motion.poses[:, j].any())
+        return dataclasses.replace(motion, poses=check_motion_fits(motion.poses, len(joint_names))), surplus
+    poses = np.zeros((len(motion), len(joint_names), 3), motion.poses.dtype)
+    ignored = []
+    place = {name: j for j, name in enumerate(joint_names)}
+    for j, name in enumerate(names):
+        if name in place:
+            poses[:, place[name]] = motion.poses[:, j]
+        elif motion.poses[:, j].any():
+            ignored.append(name)
+    return dataclasses.replace(motion, poses=poses), tuple(ignored)
