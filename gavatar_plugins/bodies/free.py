@@ -45,11 +45,11 @@ def load_free_body() -> BodyData:
 class FreeBody:
     """The packaged CC0 body.
 
-    data: its numbers. summary, licence: for `gavatar-list` and for what an exported avatar declares.
+    data: its numbers. summary, license: for `gavatar-list` and for what an exported avatar declares.
     """
 
     summary = "CC0 body shipped with gavatar: 52 joints in SMPL-H order, 10 shape coefficients, no pose blendshapes"
-    licence = "CC0-1.0"
+    license = licence = "CC0-1.0"
 
     def __init__(self, config: FreeBodyConfig):
         self.config = config

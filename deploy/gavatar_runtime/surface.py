@@ -1,0 +1,158 @@
+"""The body surface as points, one a texel of the UV atlas, and what a pose does to them."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from .errors import UserError
+from .kinematics import invert_rigid, joint_transforms, skin, skinning_transforms
+
+
+@dataclasses.dataclass(frozen=True)
+class Surface:
+    """N points on a body of J joints in its canonical pose, one for each valid texel of an R x R UV atlas.
+
+    Row 0 of the atlas is the top, v = 1: the texel of row i and column j has its centre at u = (j + 0.5) / R,
+    v = 1 - (i + 0.5) / R. A texel whose centre lies beside the atlas's charts but whose square touches one stands for
+    the nearest point of that chart: there alone, `face` and `barycentric` are not exactly at `uv`.
+
+    resolution: R. texel: (N,) int32, i * R + j. uv: (N, 2) float32 texel centres as (u, 1 - v), v DOWN, so that
+    `grid_sample(image, 2 * uv - 1, align_corners=False)` reads the texel's own value. face: (N,) int32.
+    barycentric: (N, 3) float32, weights of the face's corners. points: (N, 3) float32, metres, canonical pose.
+    normals: (N, 3) float32, unit, canonical pose. joint_index: (N, K) int32 and joint_weight: (N, K) float32, skinning
+    weights that sum to 1, in descending order; unused entries have index 0 and weight 0. spacing: (N,) float32, metres,
+    the square root of the canonical area of a texel on that face. joints: (J, 3) float64 rest joints, metres.
+    parents: (J,) int32, -1 for the root. A_canonical: (J, 4, 4) float64 rest-to-canonical skinning transforms.
+    weight_truncation: the largest sum of skinning weights that any point lost to the limit on K.
+    """
+
+    resolution: int
+    texel: np.ndarray
+    uv: np.ndarray
+    face: np.ndarray
+    barycentric: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    joint_index: np.ndarray
+    joint_weight: np.ndarray
+    spacing: np.ndarray
+    joints: np.ndarray
+    parents: np.ndarray
+    A_canonical: np.ndarray
+    weight_truncation: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.texel)
+
+    @property
+    def num_joints(self) -> int:
+        return len(self.parents)
+
+    @property
+    def root(self) -> int:
+        """Index of the root joint."""
+        return int(np.flatnonzero(self.parents < 0)[0])
+
+    def skin_transforms(self, poses: np.ndarray) -> np.ndarray:
+        """(..., J, 4, 4) canonical-to-posed transforms of the joints, A_live A_canonical^-1, without translation.
+
+        poses: (..., J, 3) axis-angle relative to the parent, radians. The result has the dtype of `poses`; it is
+        computed in float64. Raises ValueError when the joints are not J.
+        """
+        poses = np.asarray(poses)
+        if poses.shape[-2:] != (self.num_joints, 3):
+            raise ValueError(f"poses have shape {poses.shape}, expected (..., {self.num_joints}, 3)")
+        dtype = poses.dtype if np.issubdtype(poses.dtype, np.floating) else np.dtype(np.float32)
+        T = joint_transforms(poses.astype(np.float64), self.joints, self.parents)
+        return (skinning_transforms(T, self.joints) @ invert_rigid(self.A_canonical)).astype(dtype)
+
+    def posed(self, poses: np.ndarray) -> np.ndarray:
+        """(N, 3) float32 points of the surface in one pose (J, 3), metres, without translation."""
+        A = self.skin_transforms(np.asarray(poses, np.float32))
+        return skin(self.points, self.joint_index, self.joint_weight, A)
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """The surface as named arrays, none of them objects: fit for `np.savez` and for `from_arrays`."""
+        return {field.name: np.asarray(getattr(self, field.name)) for field in dataclasses.fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray], source: str = "surface") -> Surface:
+        """The surface that `to_arrays` took apart; `source` names the file in messages.
+
+        Raises UserError for a missing array and for one whose shape does not fit the others.
+        """
+        names = [field.name for field in dataclasses.fields(cls)]
+        missing = [name for name in names if name not in arrays]
+        if missing:
+            raise UserError(f"{source}: array '{missing[0]}' is missing; export the surface again")
+        values = {name: np.asarray(arrays[name]) for name in names}
+        _check_shapes(values, source)
+        values["resolution"] = int(values["resolution"])
+        values["weight_truncation"] = float(values["weight_truncation"])
+        return cls(**values)
+
+
+def _check_shapes(values: Mapping[str, np.ndarray], source: str) -> None:
+    N, J = values["texel"].size, values["parents"].size
+    K = values["joint_index"].shape[-1] if values["joint_index"].ndim else 0
+    expected = {
+        "resolution": (), "texel": (N,), "uv": (N, 2), "face": (N,), "barycentric": (N, 3), "points": (N, 3),
+        "normals": (N, 3), "joint_index": (N, K), "joint_weight": (N, K), "spacing": (N,), "joints": (J, 3),
+        "parents": (J,), "A_canonical": (J, 4, 4), "weight_truncation": (),
+    }  # fmt: skip
+    for name, shape in expected.items():
+        if values[name].shape != shape:
+            raise UserError(f"{source}: array '{name}' has shape {values[name].shape}, not {shape}; export it again")
+
+
+def save_surface(path: str | os.PathLike, surface: Surface) -> None:
+    """Write `surface` to an .npz without pickle, whole or not at all."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(file, **surface.to_arrays())
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(temporary)
+        raise
+
+
+def load_surface(path: str | os.PathLike) -> Surface:
+    """The surface in an .npz written by `save_surface`. Raises UserError for an absent or damaged file, or another."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = dict(file)
+    except FileNotFoundError:
+        raise UserError(f"{path}: no such file; export the surface first") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, TypeError, KeyError) as error:
+        raise UserError(f"{path}: not a readable surface .npz ({error}); export it again") from error
+    return Surface.from_arrays(arrays, str(path))
+
+
+def positional_map(surface: Surface, poses: np.ndarray) -> np.ndarray:
+    """Positions of the posed surface as an image over the UV atlas (paper, section 3.2), root-relative.
+
+    poses: (..., J, 3) axis-angle, radians; leading axes are a batch. Returns (..., R, R, 3) float32, metres, in the
+    frame of the root joint: its rotation is taken as zero and its place is the origin, so that the map depends neither
+    on where the person stands nor on where they face. Invalid texels are zero.
+    """
+    poses = np.array(poses, np.float32)
+    poses[..., surface.root, :] = 0
+    A = surface.skin_transforms(poses)
+    A[..., :3, 3] -= surface.joints[surface.root].astype(np.float32)
+    R = surface.resolution
+    maps = np.zeros((*poses.shape[:-2], R * R, 3), np.float32)
+    for index in np.ndindex(*poses.shape[:-2]):
+        maps[index][surface.texel] = skin(surface.points, surface.joint_index, surface.joint_weight, A[index])
+    return maps.reshape(*poses.shape[:-2], R, R, 3)
