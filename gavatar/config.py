@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
@@ -88,6 +89,7 @@ def register_configs() -> None:
     """Load the plugins and put the schema and every component into Hydra's ConfigStore."""
     load_plugins()
     fill_config_store()
+    OmegaConf.register_new_resolver("capture_name", lambda path: Path(str(path)).resolve().name, replace=True)
     ConfigStore.instance().store(name="train_schema", node=TrainConfig, provider="gavatar")
 
 

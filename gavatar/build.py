@@ -1,0 +1,86 @@
+"""From a configuration to live objects: body, avatar, rasterizer."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.surface import Surface
+
+from .avatar import Avatar, AvatarConfig
+from .body import Body, Skeleton
+from .capture import Capture
+from .registry import BODIES, CAPTURES, DECODERS, ENCODERS, RASTERIZERS
+from .surface import sample_surface
+
+
+def split_node(node: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """A composed component node -> its name and its options."""
+    return node["name"], {k: v for k, v in node.items() if k != "name"}
+
+
+def open_capture(path: str | Path, node: dict[str, Any] | None = None) -> Capture:
+    """Open the capture at `path` with the reader of `node`, by default the first that recognises the folder.
+    Raises UserError when the folder is missing, of no known layout, or malformed."""
+    path = Path(path)
+    name, options = split_node(node or {"name": "auto"})
+    if name != "auto":
+        return CAPTURES.build(name, options).read(path)
+    if not path.is_dir():
+        raise UserError(f"capture {path} is not a directory")
+    for component in CAPTURES:
+        if component.name != "auto" and component.factory.recognises(path):
+            return CAPTURES.build(component.name).read(path)
+    known = ", ".join(c.name for c in CAPTURES if c.name != "auto")
+    raise UserError(f"{path} is not a capture: it has no capture.json (known layouts: {known})")
+
+
+def choose_device(name: str) -> torch.device:
+    """`auto` is CUDA when there is one, else the CPU."""
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise UserError(f"device '{name}' is not one torch knows: use auto, cpu or cuda") from None
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise UserError("device=cuda was asked for, but torch sees no CUDA device: use device=cpu")
+    return device
+
+
+def build_rasterizer(node: dict[str, Any]):
+    """The rasterizer of a composed node."""
+    return RASTERIZERS.build(*split_node(node))
+
+
+@dataclasses.dataclass
+class AvatarBuild:
+    """An untrained avatar and what it stands on. surface(R) samples the body's atlas at R x R texels, cached."""
+
+    body: Body
+    betas: np.ndarray | None
+    avatar: Avatar
+    canonical: dict[int, Surface] = dataclasses.field(default_factory=dict)
+
+    def surface(self, resolution: int) -> Surface:
+        if resolution not in self.canonical:
+            self.canonical[resolution] = sample_surface(self.body.data, self.betas, resolution)
+        return self.canonical[resolution]
+
+
+def build_avatar(
+    body_node: dict, encoder_node: dict, decoder_node: dict, avatar: AvatarConfig, betas: np.ndarray | None, seed: int
+) -> AvatarBuild:
+    """An avatar with freshly initialised parameters (a function of `seed` alone)."""
+    body = BODIES.build(*split_node(body_node))
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        decoder = DECODERS.build(*split_node(decoder_node), in_channels=avatar.features)
+        encoder = ENCODERS.build(*split_node(encoder_node), channels=avatar.features, map_size=None)
+        skeleton = Skeleton(body.data, betas)
+        return AvatarBuild(body, betas, Avatar(avatar, skeleton, encoder, decoder))

@@ -1,0 +1,105 @@
+"""Run directories: starting, resuming and opening them."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+
+from gavatar_runtime.errors import UserError
+
+from ..build import AvatarBuild, build_avatar, open_capture
+from ..capture import Capture
+from ..config import TrainConfig, check
+from ..files import atomic, load_tensors
+from ..motion import MotionTable
+from .trainer import STAGE_FILES, Trainer, resolved
+
+CONFIG = "config.yaml"
+
+
+def train(composed: DictConfig, directory: Path) -> Trainer:
+    """Train in `directory`: a new run, or the continuation of one of the same configuration.
+
+    Raises UserError before any work when the configuration is wrong, or when the directory holds a run of another
+    configuration and overwrite is off.
+    """
+    config = check(composed)
+    directory = Path(directory)
+    path = directory / CONFIG
+    if path.exists() and not config.overwrite:
+        former = resolved(check(OmegaConf.load(path)))
+        changed = [key for key, value in resolved(config).items() if former.get(key) != value]
+        if changed:
+            raise UserError(
+                f"{directory} holds a run with another {', '.join(changed)}: choose another out=DIR, "
+                "or overwrite=true to start afresh"
+            )
+    trainer = Trainer(config, directory)  # everything that can be wrong is found before the old run is touched
+    if config.overwrite:
+        for name in ("checkpoint.pt", "metrics.json", "motion.npz", *STAGE_FILES.values()):
+            (directory / name).unlink(missing_ok=True)
+    directory.mkdir(parents=True, exist_ok=True)
+    plain = dataclasses.asdict(config) | {"overwrite": False}
+    plain["capture"] = str(Path(config.capture).resolve())
+    with atomic(path) as temporary:
+        OmegaConf.save(OmegaConf.create(plain), temporary)
+    trainer.run()
+    return trainer
+
+
+@dataclasses.dataclass
+class Run:
+    """A trained run, opened. stage: of the avatar that was loaded. uv: side of the atlas it ended at."""
+
+    directory: Path
+    config: TrainConfig
+    capture: Capture
+    built: AvatarBuild
+    motion: MotionTable
+    stage: int
+    uv: int
+
+    @property
+    def avatar(self):
+        return self.built.avatar
+
+
+def open_run(directory: str | Path, stage: int | None = None, capture: str | Path | None = None) -> Run:
+    """Open a finished run for evaluation or export; the avatar is in eval mode on the CPU.
+
+    stage: 1 or 2, by default the last that was trained. capture: where the footage is now, if it has moved.
+    Raises UserError when the directory is no run or the stage was never finished.
+    """
+    directory = Path(directory)
+    if not (directory / CONFIG).exists():
+        raise UserError(f"{directory} is not a run directory: it has no {CONFIG} (gavatar-train writes one)")
+    config = check(OmegaConf.load(directory / CONFIG))
+    if capture is not None:
+        config.capture = str(capture)
+    finished = [n for n, name in STAGE_FILES.items() if (directory / name).exists()]
+    if not finished:
+        raise UserError(f"{directory} has no finished stage yet: give the gavatar-train command again to continue it")
+    number = stage or max(finished)
+    if number not in finished:
+        raise UserError(f"{directory} has no stage {number}; finished: {', '.join(map(str, finished))}")
+    state = load_tensors(directory / STAGE_FILES[number])
+    opened = open_capture(config.capture, config.capture_format)
+    built = build_avatar(config.body, config.encoder, config.decoder, config.avatar, opened.motion.betas, config.seed)
+    motion = MotionTable(opened.motion, built.body.data.num_joints, config.motion.joints)
+    try:
+        built.avatar.load_state_dict(state["avatar"])
+        motion.load_state_dict(state["motion"])
+    except (RuntimeError, KeyError) as error:
+        raise UserError(
+            f"{directory / STAGE_FILES[number]} does not fit {CONFIG} or the capture: "
+            f"{str(error).splitlines()[0]}"
+        ) from None
+    if number == 1:
+        built.avatar.encoder = None
+    built.avatar.sample_at(built.surface(state["uv"]))
+    built.avatar.eval()
+    for parameter in [*built.avatar.parameters(), *motion.parameters()]:
+        parameter.requires_grad_(False)
+    return Run(directory, config, opened, built, motion, state["stage"], state["uv"])

@@ -1,0 +1,299 @@
+"""The two stages of the paper (section 4.3): appearance with motion, then pose-dependent dynamics."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.surface import positional_map
+
+from ..build import AvatarBuild, build_avatar, build_rasterizer, choose_device, open_capture
+from ..capture import View
+from ..config import StageConfig, TrainConfig
+from ..files import load_tensors, save_tensors, write_image, write_json, write_motion
+from ..losses import LossComposer, LossInputs, MotionState
+from ..motion import MotionTable, RowAdam
+from .data import Footage, footage, load_full
+from .preview import as_image, side_by_side
+from .stage import background_at, batch_rows, level_at, lr_factor
+
+CHECKPOINT = "checkpoint.pt"
+STAGE_FILES = {1: "stage1.pt", 2: "stage2.pt"}
+
+
+class Trainer:
+    """Trains one avatar in one run directory; a killed run continues from its last checkpoint to the same result.
+
+    directory holds: config.yaml, checkpoint.pt (the state to resume from), stage1.pt and stage2.pt (the avatar after
+    each stage), motion.npz (refined motion), metrics.json, previews/.
+    """
+
+    def __init__(self, config: TrainConfig, directory: Path):
+        self.config, self.directory = config, Path(directory)
+        if config.threads:
+            torch.set_num_threads(config.threads)
+        self.device = choose_device(config.device)
+        self.capture = open_capture(config.capture, config.capture_format)
+        self.capture.check()
+        self.views: list[View] = self.capture.views(config.train_split)
+        self.rasterize = build_rasterizer(config.rasterizer)
+        self.losses = LossComposer(config.losses)
+        self.built: AvatarBuild = build_avatar(
+            config.body, config.encoder, config.decoder, config.avatar, self.capture.motion.betas, config.seed
+        )
+        self.avatar = self.built.avatar.to(self.device)
+        self.motion = MotionTable(
+            self.capture.motion, self.built.body.data.num_joints, config.motion.joints
+        ).to(self.device)  # fmt: skip
+        self.frames = sorted({view.frame for view in self.views})
+        self._frame_row = {frame: row for row, frame in enumerate(self.frames)}
+        self._footage: dict[float, Footage] = {}
+        self._full: list | None = None
+        self._maps: Tensor | None = None
+        self.history: list[dict[str, Any]] = []
+        self.seconds = {1: 0.0, 2: 0.0}
+        self._board = _tensorboard(self.directory) if config.tensorboard else None
+
+    def run(self) -> None:
+        """Train both stages from wherever the directory's checkpoint stands."""
+        state = load_tensors(self.directory / CHECKPOINT) if (self.directory / CHECKPOINT).exists() else None
+        if state is not None:
+            self.avatar.load_state_dict(state["avatar"])
+            self.motion.load_state_dict(state["motion"])
+            self.history, self.seconds = state["history"], state["seconds"]
+        for number in self._stages():
+            if state is not None and number < state["stage"]:
+                continue
+            resume = state if state is not None and state["stage"] == number else None
+            _Stage(self, number).run(resume)
+            state = None
+        write_motion(self.directory / "motion.npz", self.motion.motion())
+        self.write_metrics(finished=True)
+
+    def _stages(self) -> list[int]:
+        return [1, 2] if self.avatar.encoder is not None and self.config.stage2.steps else [1]
+
+    def footage_at(self, scale: float) -> Footage:
+        """The training images at an image scale, decoded at most once."""
+        if scale not in self._footage:
+            if self._full is None:
+                bar = _bar(self.config.progress, "reading images", unit="image")
+                self._full = load_full(self.capture, self.views, bar)
+            self._footage = {scale: footage(self.capture, self.views, self._full, scale, self.config.crop)}
+        return self._footage[scale]
+
+    def positional_maps(self, frames: list[int]) -> Tensor:
+        """(B, 3, M, M) root-relative positional maps of the motion as refined by stage 1."""
+        if self._maps is None:
+            surface = self.built.surface(self.avatar.encoder.map_size)
+            motion = self.motion.motion()
+            maps = [positional_map(surface, motion.poses[frame]) for frame in self.frames]
+            self._maps = torch.from_numpy(np.stack(maps)).permute(0, 3, 1, 2).contiguous()
+        return self._maps[[self._frame_row[f] for f in frames]].to(self.device)
+
+    def write_metrics(self, finished: bool) -> None:
+        write_json(
+            self.directory / "metrics.json",
+            {
+                "finished": finished,
+                "seconds": {f"stage{k}": round(v, 2) for k, v in self.seconds.items()},
+                "gaussians": len(self.avatar.surface.points) if self.avatar.surface is not None else None,
+                "history": self.history,
+            },
+        )
+
+    def log(self, entry: dict[str, Any]) -> None:
+        self.history.append(entry)
+        if self._board is not None:
+            for key, value in entry["losses"].items():
+                self._board.add_scalar(f"stage{entry['stage']}/{key}", value, entry["step"])
+
+
+class _Stage:
+    """One stage in progress: its optimisers and its loop."""
+
+    def __init__(self, trainer: Trainer, number: int):
+        self.trainer, self.number = trainer, number
+        self.config: StageConfig = getattr(trainer.config, f"stage{number}")
+        avatar, motion = trainer.avatar, trainer.motion
+        groups = [{"params": list(avatar.decoder.parameters()), "lr": self.config.lr_decoder}]
+        if number == 1:
+            first = [avatar.features, *avatar.smooth.parameters()]
+            groups.append({"params": first, "lr": self.config.lr_features})
+        else:
+            groups.append({"params": list(avatar.encoder.parameters()), "lr": self.config.lr_encoder})
+        self.base_lr = [group["lr"] for group in groups]
+        self.optimizer = torch.optim.Adam(groups)
+        options = trainer.config.motion
+        self.moves = number == 1 and options.enabled
+        self.motion_optimizer = RowAdam(
+            [
+                {"params": [motion.rotation_correction], "lr": options.lr},
+                {"params": [motion.trans_correction], "lr": options.lr_trans},
+            ]
+        )
+        avatar.features.requires_grad_(number == 1)
+        avatar.smooth.requires_grad_(number == 1)
+        motion.requires_grad_(self.moves)
+
+    def run(self, resume: dict[str, Any] | None) -> None:
+        start = 0
+        if resume is not None:
+            start = resume["step"]
+            self.optimizer.load_state_dict(resume["optimizer"])
+            self.motion_optimizer.load_state_dict(resume["motion_optimizer"])
+        trainer, steps = self.trainer, self.config.steps
+        trainer.avatar.train()
+        bar = tqdm(
+            total=steps, initial=start, desc=f"stage {self.number}", unit="step", disable=not trainer.config.progress
+        )
+        clock = time.perf_counter()
+        for step in range(start, steps):
+            losses = self._step(step)
+            bar.update()
+            last = step + 1 == steps
+            if step % 10 == 0 or last:
+                bar.set_postfix({k: f"{v:.4f}" for k, v in losses.items() if k in ("total", "l1", "ssim")})
+                trainer.log({"stage": self.number, "step": step, "losses": {k: float(v) for k, v in losses.items()}})
+            if not np.isfinite(losses["total"]):
+                raise UserError(
+                    f"stage {self.number} diverged at step {step}: the loss is {losses['total']}; "
+                    f"lower stage{self.number}.lr_decoder or motion.lr"
+                )
+            if (step + 1) % trainer.config.checkpoint_every == 0 and not last:
+                trainer.seconds[self.number] += time.perf_counter() - clock
+                clock = time.perf_counter()
+                self._save(step + 1)
+        bar.close()
+        trainer.seconds[self.number] += time.perf_counter() - clock
+        if steps == 0:
+            trainer.avatar.sample_at(trainer.built.surface(self.config.levels[-1].uv))
+        save_tensors(trainer.directory / STAGE_FILES[self.number], self._avatar_state())
+        self._save(steps)
+
+    def _avatar_state(self) -> dict[str, Any]:
+        trainer = self.trainer
+        return {
+            "avatar": trainer.avatar.state_dict(),
+            "motion": trainer.motion.state_dict(),
+            "stage": self.number,
+            "uv": self.config.levels[-1].uv,
+        }
+
+    def _save(self, step: int) -> None:
+        trainer = self.trainer
+        trainer.write_metrics(finished=False)
+        save_tensors(
+            trainer.directory / CHECKPOINT,
+            self._avatar_state()
+            | {
+                "step": step,
+                "optimizer": self.optimizer.state_dict(),
+                "motion_optimizer": self.motion_optimizer.state_dict(),
+                "history": trainer.history,
+                "seconds": trainer.seconds,
+            },
+        )
+
+    def _prepare(self, step: int) -> tuple[Footage, float]:
+        trainer, level = self.trainer, level_at(self.config, step)
+        surface = trainer.built.surface(level.uv)
+        if trainer.avatar.surface is not surface:
+            trainer.avatar.sample_at(surface)
+        factor = lr_factor(self.config, step)
+        for group, lr in zip(self.optimizer.param_groups, self.base_lr, strict=True):
+            group["lr"] = lr * factor
+        options = trainer.config.motion
+        for group, lr in zip(self.motion_optimizer.param_groups, (options.lr, options.lr_trans), strict=True):
+            group["lr"] = lr * factor
+        on_step = getattr(trainer.avatar.decoder, "on_step", None)
+        if on_step is not None and self.number == 1:
+            on_step(step)
+        return trainer.footage_at(level.image), step / max(1, self.config.steps)
+
+    def _step(self, step: int) -> dict[str, float]:
+        trainer, config = self.trainer, self.trainer.config
+        data, progress = self._prepare(step)
+        rows = batch_rows(config.seed + self.number, len(data.views), self.config.batch, step)
+        frames = [data.views[r].frame for r in rows]
+        background = background_at(config.background, config.seed + self.number, step)
+        target, mask = data.batch(rows, background, trainer.device)
+        inputs = self._render(rows, frames, data, background, target, mask, progress)
+        total, values = trainer.losses(inputs)
+        self.optimizer.zero_grad(set_to_none=True)
+        self.motion_optimizer.zero_grad(set_to_none=True)
+        total.backward()
+        self.optimizer.step()
+        options = config.motion
+        if self.moves and options.start <= progress <= options.end:
+            self.motion_optimizer.step(torch.tensor(sorted(set(frames)), device=trainer.device))
+        if step % config.preview_every == 0 or step + 1 == self.config.steps:
+            picture = side_by_side(as_image(inputs.target[0]), as_image(inputs.render[0]))
+            write_image(trainer.directory / "previews" / f"stage{self.number}_{step:06d}.png", picture)
+        return {"total": float(total.detach()), **values}
+
+    def _render(self, rows, frames, data: Footage, background, target, mask, progress: float) -> LossInputs:
+        trainer, avatar = self.trainer, self.trainer.avatar
+        pose_features = None
+        if self.number == 2:
+            pose_features = avatar.encode(trainer.positional_maps(frames))
+        attributes = avatar.attributes(pose_features)
+        all_rotations, all_trans = trainer.motion(trainer.frames)
+        at = [trainer._frame_row[f] for f in frames]
+        images, alphas = [], []
+        for row, gaussians in zip(rows, avatar.pose(attributes, all_rotations[at], all_trans[at]), strict=True):
+            rendering = trainer.rasterize(gaussians, data.cameras[row], background.to(trainer.device))
+            images.append(rendering.color.permute(2, 0, 1))
+            alphas.append(rendering.alpha)
+        return LossInputs(
+            render=torch.stack(images),
+            target=target,
+            alpha=torch.stack(alphas),
+            mask=mask,
+            features=avatar.features if self.number == 1 else None,
+            pose_features=pose_features,
+            offsets=attributes.offsets,
+            scales=attributes.scales,
+            progress=progress,
+            motion=self._motion_state(all_rotations, all_trans),
+        )
+
+    def _motion_state(self, rotations: Tensor, trans: Tensor) -> MotionState | None:
+        if not self.moves:
+            return None
+        table, frames = self.trainer.motion, self.trainer.frames
+        return MotionState(
+            rotations=rotations,
+            rotations_initial=table.initial_rotations[frames],
+            trans=trans,
+            trans_initial=table.initial_trans[frames],
+            frame_times=torch.tensor(frames, device=trans.device, dtype=trans.dtype) / table.fps,
+        )
+
+
+def _bar(show: bool, title: str, unit: str):
+    return lambda items: tqdm(items, desc=title, unit=unit, disable=not show)
+
+
+def _tensorboard(directory: Path):
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        raise UserError("tensorboard=true needs the tensorboard package: pip install 'gavatar[tensorboard]'") from None
+    return SummaryWriter(str(directory / "tensorboard"))
+
+
+def resolved(config: TrainConfig) -> dict[str, Any]:
+    """The configuration as plain values, without what does not change the result (for comparison on resume)."""
+    plain = dataclasses.asdict(config)
+    for key in ("out", "overwrite", "progress", "threads", "tensorboard", "preview_every", "checkpoint_every"):
+        plain.pop(key)
+    return plain
