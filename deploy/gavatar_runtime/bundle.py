@@ -1,0 +1,321 @@
+"""The avatar bundle `NAME.gavatar`: all that playing an avatar needs, in one zip that also works unpacked.
+
+| member | holds |
+|---|---|
+| manifest.json | `Manifest`: what the avatar is, where it came from, SHA-256 of every other member |
+| surface.npz | the places of the Gaussians, and of the encoder's positional map: `pack_surfaces` |
+| body.npz | skeleton and shape for viewers: joint_names, parents, joints, betas: `pack_body` |
+| decoder.onnx | -> offsets (N, 3), colors (N, 3), scales (N,); input pose_features (1, C, M, M) if dynamic, else none |
+| encoder.onnx | dynamic avatars only: positional_map (1, 3, M, M) -> pose_features (1, C, M, M) |
+
+Further members (cheaper tiers) may stand beside these; they are listed and checked the same way. No member holds
+pickled objects, and nothing is ever unpacked to disk.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+import os
+import re
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import __version__
+from .errors import UserError
+from .files import atomic
+from .surface import Surface
+
+SUFFIX = ".gavatar"
+FORMAT = "gavatar"
+FORMAT_VERSION = 1
+MANIFEST = "manifest.json"
+ALWAYS = ("surface.npz", "body.npz", "decoder.onnx")
+DYNAMIC = ("encoder.onnx",)
+UNITS = {"length": "metres", "angle": "radians", "color": "sRGB in [0, 1]", "up": "y"}
+_MEMBER_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # the same bytes whenever the same avatar is written
+
+
+@dataclasses.dataclass(frozen=True)
+class Manifest:
+    """What a bundle says of itself.
+
+    name: the avatar's. gaussians: N. dynamic: whether the look depends on the pose, so that encoder.onnx is there.
+    body: at least `model` (the body component) and `joints` (J). components: registry names of encoder and decoder.
+    opset: of the ONNX members. license: of the avatar, as the capture states it. training: a summary (capture, losses,
+    steps, metrics). export_check: the exported model's errors against the one that was trained, with their units.
+    tiers: descriptions of cheaper members with their measured error and cost. members: SHA-256 by file name, filled by
+    `write_bundle`. extra: fields of the same format version that this program does not know; they survive a rewrite.
+    """
+
+    name: str
+    gaussians: int
+    dynamic: bool
+    body: dict[str, Any]
+    components: dict[str, Any]
+    opset: int
+    license: str = ""
+    training: dict[str, Any] = dataclasses.field(default_factory=dict)
+    export_check: dict[str, Any] = dataclasses.field(default_factory=dict)
+    tiers: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    units: dict[str, str] = dataclasses.field(default_factory=lambda: dict(UNITS))
+    created_by: str = f"gavatar {__version__}"
+    members: dict[str, str] = dataclasses.field(default_factory=dict)
+    extra: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    @property
+    def required(self) -> tuple[str, ...]:
+        """Members without which the avatar cannot play."""
+        return ALWAYS + (DYNAMIC if self.dynamic else ())
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, the format first."""
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "extra"}
+        return {"format": FORMAT, "format_version": FORMAT_VERSION, **values, **self.extra}
+
+    @classmethod
+    def from_json(cls, values: Any, source: str) -> Manifest:
+        """The manifest in parsed JSON; UserError naming `source` if it is not one, is of a later format version, lacks
+        a field or has one of the wrong kind."""
+        if not isinstance(values, dict) or values.get("format") != FORMAT:
+            raise UserError(f"{source} is not a gavatar bundle: its {MANIFEST} does not say format '{FORMAT}'")
+        version = values.get("format_version")
+        if type(version) is not int or version < 1:
+            raise UserError(f"{source}: {MANIFEST} has format_version {version!r}, expected a whole number")
+        if version > FORMAT_VERSION:
+            raise UserError(
+                f"{source} has bundle format {version}, and this gavatar {__version__} reads up to {FORMAT_VERSION}: "
+                f"update gavatar (it was written by {values.get('created_by', 'a later version')})"
+            )
+        known = {}
+        for field in dataclasses.fields(cls):
+            kind = _KINDS[field.name]
+            if field.name == "extra":
+                continue
+            if field.name in values:
+                if type(values[field.name]) is not kind:
+                    found = type(values[field.name]).__name__
+                    raise UserError(f"{source}: {MANIFEST} field '{field.name}' is a {found}, expected {kind.__name__}")
+                known[field.name] = values[field.name]
+            elif field.name in _NEEDED:
+                raise UserError(f"{source}: {MANIFEST} lacks the field '{field.name}'; export the avatar again")
+        extra = {k: v for k, v in values.items() if k not in known and k not in ("format", "format_version")}
+        return cls(**known, extra=extra)
+
+
+_KINDS = {
+    "name": str, "gaussians": int, "dynamic": bool, "body": dict, "components": dict, "opset": int, "license": str,
+    "training": dict, "export_check": dict, "tiers": list, "units": dict, "created_by": str, "members": dict,
+    "extra": dict,
+}  # fmt: skip
+_NEEDED = ("name", "gaussians", "dynamic", "body", "components", "opset", "members")
+
+
+class Bundle:
+    """An opened bundle. manifest: `Manifest`. path: where it was read. Members are read and verified when asked for."""
+
+    def __init__(self, path: Path, manifest: Manifest):
+        self.path = path
+        self.manifest = manifest
+
+    def read(self, member: str) -> bytes:
+        """The bytes of a member listed in the manifest; UserError if it is not there, damaged or altered."""
+        digest = self.manifest.members.get(member)
+        if digest is None:
+            raise UserError(f"{self.path} has no member '{member}' in its {MANIFEST}; export the avatar again")
+        data = _read_member(self.path, member)
+        if hashlib.sha256(data).hexdigest() != digest:
+            raise UserError(
+                f"{self.path}: {member} does not match its SHA-256 in {MANIFEST}: the bundle is damaged or was altered "
+                "by hand; export or download it again"
+            )
+        return data
+
+    def arrays(self, member: str) -> dict[str, np.ndarray]:
+        """The arrays of an .npz member by name, pickles refused."""
+        try:
+            with np.load(io.BytesIO(self.read(member)), allow_pickle=False) as file:
+                return dict(file)
+        except (ValueError, OSError, EOFError, zipfile.BadZipFile, TypeError, AttributeError) as error:
+            raise UserError(f"{self.path}: {member} is not a readable .npz; export the avatar again") from error
+
+    def surfaces(self) -> tuple[Surface, Surface | None]:
+        """Where the Gaussians sit, and the surface of the encoder's positional map (None for a static avatar).
+
+        What playing does not need is not stored: there `face` is -1, `barycentric`, `normals` and `spacing` are NaN.
+        """
+        arrays, source = self.arrays("surface.npz"), f"{self.path}: surface.npz"
+        gaussians = _unpack_surface(arrays, "gaussians_", source)
+        encoder_map = _unpack_surface(arrays, "map_", source) if self.manifest.dynamic else None
+        if len(gaussians) != self.manifest.gaussians:
+            raise UserError(
+                f"{source} holds {len(gaussians)} points and {MANIFEST} says {self.manifest.gaussians} Gaussians; "
+                "export the avatar again"
+            )
+        return gaussians, encoder_map
+
+
+def read_bundle(path: str | os.PathLike, *, verify: bool = False) -> Bundle:
+    """Open a bundle, zipped or unpacked, and check that what playing needs is listed and there.
+
+    verify: also read every member and check it against its SHA-256 (otherwise done when a member is read). Raises
+    UserError for a path that does not exist or is no bundle, a damaged zip, a missing member and a later format.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise UserError(f"avatar {path} does not exist")
+    try:
+        values = json.loads(_read_member(path, MANIFEST).decode("utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise UserError(f"{path}: {MANIFEST} is not JSON; export the avatar again") from error
+    manifest = Manifest.from_json(values, str(path))
+    present = _member_names(path)
+    for member in (*manifest.required, *manifest.members):
+        if member not in manifest.members or member not in present:
+            raise UserError(f"{path}: member {member} is missing; export or download the avatar again")
+    bundle = Bundle(path, manifest)
+    if verify:
+        for member in manifest.members:
+            bundle.read(member)
+    return bundle
+
+
+def write_bundle(path: str | os.PathLike, manifest: Manifest, members: Mapping[str, bytes]) -> Manifest:
+    """Write a bundle, whole or not at all; the same manifest and members give the same file, byte for byte.
+
+    members: contents by file name, all but manifest.json. Returns the manifest as written, with its SHA-256 sums.
+    Raises UserError for a place that cannot be written, ValueError for members that make no bundle.
+    """
+    missing = [name for name in manifest.required if name not in members]
+    if missing:
+        raise ValueError(f"bundle '{manifest.name}' lacks {', '.join(missing)}")
+    for name in members:
+        if name == MANIFEST or not _MEMBER_NAME.fullmatch(name):
+            raise ValueError(f"'{name}' cannot be a bundle member: plain file names only, and not {MANIFEST}")
+    sums = {name: hashlib.sha256(members[name]).hexdigest() for name in sorted(members)}
+    manifest = dataclasses.replace(manifest, members=sums)
+    text = json.dumps(manifest.to_json(), indent=1, allow_nan=False) + "\n"
+    with atomic(path) as temporary, zipfile.ZipFile(temporary, "w") as file:
+        _write_member(file, MANIFEST, text.encode("utf-8"))
+        for name in sums:
+            _write_member(file, name, members[name])
+    return manifest
+
+
+def pack_surfaces(gaussians: Surface, encoder_map: Surface | None = None) -> bytes:
+    """surface.npz: arrays `gaussians_*` and, for a dynamic avatar, `map_*`, of what playing needs of each surface:
+    resolution, texel, points, joint_index, joint_weight, joints, parents, A_canonical (see `Surface`)."""
+    arrays = _pack_surface(gaussians, "gaussians_")
+    if encoder_map is not None:
+        arrays |= _pack_surface(encoder_map, "map_")
+    return pack_arrays(arrays)
+
+
+def pack_body(joint_names, parents: np.ndarray, joints: np.ndarray, betas: np.ndarray | None = None) -> bytes:
+    """body.npz: joint_names (J,), parents (J,), joints (J, 3) rest joints of the trained shape, metres, betas (B,)."""
+    return pack_arrays(
+        {
+            "joint_names": np.asarray(joint_names, np.str_),
+            "parents": np.asarray(parents, np.int32),
+            "joints": np.asarray(joints, np.float64),
+            "betas": np.zeros(0) if betas is None else np.asarray(betas, np.float64).reshape(-1),
+        }
+    )
+
+
+def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """An .npz as bytes, the same for the same arrays; pickles refused."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as file:
+        for name, array in arrays.items():
+            data = io.BytesIO()
+            np.lib.format.write_array(data, np.asarray(array, order="C"), allow_pickle=False)
+            _write_member(file, f"{name}.npy", data.getvalue())
+    return buffer.getvalue()
+
+
+_PACKED = ("resolution", "texel", "points", "joint_index", "joint_weight", "joints", "parents", "A_canonical")
+
+
+def _pack_surface(surface: Surface, prefix: str) -> dict[str, np.ndarray]:
+    arrays = {name: np.asarray(getattr(surface, name)) for name in _PACKED}
+    if surface.num_joints <= 256:
+        arrays["joint_index"] = arrays["joint_index"].astype(np.uint8)
+    return {prefix + name: array for name, array in arrays.items()}
+
+
+def _unpack_surface(arrays: Mapping[str, np.ndarray], prefix: str, source: str) -> Surface:
+    known = {name: arrays[prefix + name] for name in _PACKED if prefix + name in arrays}
+    missing = [prefix + name for name in _PACKED if name not in known]
+    if missing:
+        raise UserError(f"{source} lacks the array '{missing[0]}'; export the avatar again")
+    count, side = known["texel"].size, max(int(known["resolution"].reshape(-1)[0]), 1)
+    texel = known["texel"].reshape(-1)
+    nan = np.full((count, 3), np.nan, np.float32)
+    known |= {
+        "joint_index": known["joint_index"].astype(np.int32),
+        "uv": ((np.stack([texel % side, texel // side], -1) + 0.5) / side).astype(np.float32),
+        "face": np.full(count, -1, np.int32),
+        "barycentric": nan,
+        "normals": nan,
+        "spacing": nan[:, 0],
+        "weight_truncation": np.zeros(()),
+    }
+    surface = Surface.from_arrays(known, source)
+    for name, limit in (("texel", side * side), ("joint_index", surface.num_joints)):
+        index = known[name]
+        if index.size and not 0 <= index.min() <= index.max() < limit:
+            raise UserError(f"{source}: {prefix}{name} leaves the range 0 to {limit - 1}; export the avatar again")
+    return surface
+
+
+def _write_member(file: zipfile.ZipFile, name: str, data: bytes) -> None:
+    info = zipfile.ZipInfo(name, _ZIP_TIME)
+    # network weights do not shrink, and the .npy files of an .npz are compressed with it
+    info.compress_type = zipfile.ZIP_STORED if name.endswith((".onnx", ".npy")) else zipfile.ZIP_DEFLATED
+    info.create_system = 3  # Unix, wherever it is written
+    info.external_attr = 0o644 << 16
+    file.writestr(info, data)
+
+
+def _member_names(path: Path) -> set[str]:
+    if path.is_dir():
+        return {entry.name for entry in path.iterdir() if entry.is_file()}
+    with _open_zip(path) as file:
+        return set(file.namelist())
+
+
+def _read_member(path: Path, member: str) -> bytes:
+    if not _MEMBER_NAME.fullmatch(member):
+        raise UserError(f"{path}: '{member}' is not a plain file name; the bundle was altered by hand")
+    try:
+        if path.is_dir():
+            return (path / member).read_bytes()
+        with _open_zip(path) as file:
+            return file.read(member)
+    except (KeyError, FileNotFoundError):
+        if member == MANIFEST:
+            raise UserError(f"{path} is not a gavatar bundle: it has no {MANIFEST}") from None
+        raise UserError(f"{path}: member {member} is missing; export or download the avatar again") from None
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:
+        raise UserError(f"{path}: {member} cannot be read ({error}); export or download the avatar again") from error
+
+
+def _open_zip(path: Path) -> zipfile.ZipFile:
+    try:
+        return zipfile.ZipFile(path)
+    except zipfile.BadZipFile:
+        with path.open("rb") as file:
+            cut = file.read(4) == b"PK\x03\x04"
+        reason = "is cut short or damaged" if cut else "is not a gavatar bundle (not a zip)"
+        raise UserError(f"{path} {reason}; export or download it again") from None
+    except OSError as error:
+        raise UserError(f"{path} cannot be read: {error.strerror or error}") from error
