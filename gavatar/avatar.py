@@ -1,6 +1,6 @@
 """The avatar: learnable features + encoder + decoder on a body's surface, posed into Gaussians.
 
-    G(beta, theta, D, P) = Splatting(LBS(D, J(beta), theta, w), P),   D = T(beta) + dT      (paper, equation 4)
+G(beta, theta, D, P) = Splatting(LBS(D, J(beta), theta, w), P),   D = T(beta) + dT      (paper, equation 4)
 """
 
 from __future__ import annotations

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import torch
-
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.surface import Surface
 

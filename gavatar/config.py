@@ -6,10 +6,9 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+from gavatar_runtime.errors import UserError
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
-
-from gavatar_runtime.errors import UserError
 
 from .avatar import AvatarConfig
 from .registry import BODIES, DECODERS, ENCODERS, LOSSES, RASTERIZERS, fill_config_store, load_plugins

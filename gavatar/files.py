@@ -1,45 +1,18 @@
-"""Writing files whole or not at all, and the few formats that a run is made of."""
+"""The few file formats that a run is made of, written whole or not at all."""
 
 from __future__ import annotations
 
-import contextlib
-import json
 import os
-import tempfile
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import torch
-
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.files import atomic, write_json
 from gavatar_runtime.motion import Motion
 
-
-@contextlib.contextmanager
-def atomic(path: str | os.PathLike) -> Iterator[Path]:
-    """A temporary path beside `path`, with its suffix, renamed over it when the block succeeds and removed when not."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def write_json(path: str | os.PathLike, value: Any) -> None:
-    """Write `value` as indented JSON."""
-    with atomic(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+__all__ = ["atomic", "load_tensors", "save_tensors", "write_image", "write_json", "write_motion"]
 
 
 def write_image(path: str | os.PathLike, image: np.ndarray) -> None:
@@ -76,4 +49,6 @@ def load_tensors(path: str | os.PathLike) -> dict[str, Any]:
     except FileNotFoundError:
         raise UserError(f"{path} is missing") from None
     except Exception as error:
-        raise UserError(f"{path} is not a readable checkpoint ({type(error).__name__}): delete it to start anew") from None
+        raise UserError(
+            f"{path} is not a readable checkpoint ({type(error).__name__}): delete it to start anew"
+        ) from None

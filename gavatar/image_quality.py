@@ -36,7 +36,7 @@ def ssim(image: Tensor, reference: Tensor) -> Tensor:
     center = ((image + reference) / 2).mean((-2, -1), keepdim=True).detach()
     x, y = image - center, reference - center
     d = x - y
-    filtered = _gaussian_filter(torch.cat([x, y, x * x + y * y, d * d]))
+    filtered = _GaussianFilter.apply(torch.cat([x, y, x * x + y * y, d * d]))
     mean_x, mean_y, power, power_d = filtered.chunk(4)
     mean_d = mean_x - mean_y
     var_sum = (power - mean_x * mean_x - mean_y * mean_y).clamp(min=0)
@@ -54,15 +54,33 @@ def _gaussian(size: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     return (kernel / kernel.sum()).to(device, dtype)
 
 
-def _gaussian_filter(x: Tensor) -> Tensor:
-    """(B, C, H, W) -> (B, C, H - h + 1, W - w + 1), each channel smoothed where the window fits."""
-    B, C, H, W = x.shape
-    x = x.reshape(B * C, 1, H, W)
-    for axis, length in ((2, H), (3, W)):
-        size = min(SSIM_WINDOW, length - (length + 1) % 2)
-        kernel = _gaussian(size, x.dtype, x.device)
-        x = F.conv2d(x, kernel.view(1, 1, -1, 1) if axis == 2 else kernel.view(1, 1, 1, -1))
-    return x.view(B, C, *x.shape[2:])
+class _GaussianFilter(torch.autograd.Function):
+    """(B, C, H, W) -> (B, C, H - h + 1, W - w + 1), each channel smoothed where the window fits.
+
+    Autograd's own backward of a depthwise convolution also prepares weight gradients and runs several times slower
+    on a CPU. The window is symmetric, so the adjoint is the same filter on the zero-padded gradient.
+    """
+
+    @staticmethod
+    def forward(ctx, x: Tensor) -> Tensor:
+        ctx.sizes = tuple(min(SSIM_WINDOW, n - (n + 1) % 2) for n in x.shape[-2:])
+        return _filter(x, *ctx.sizes)
+
+    @staticmethod
+    def backward(ctx, gradient: Tensor) -> Tensor:
+        h, w = ctx.sizes
+        return _filter(F.pad(gradient, (w - 1, w - 1, h - 1, h - 1)), h, w)
+
+
+def _filter(x: Tensor, h: int, w: int) -> Tensor:
+    """Valid separable Gaussian filter of h x w pixels."""
+    channels = x.shape[0] * x.shape[1]
+    rows, columns = _gaussian(h, x.dtype, x.device), _gaussian(w, x.dtype, x.device)
+    # channels last is the layout in which a depthwise convolution is vectorised
+    y = x.reshape(1, channels, *x.shape[2:]).contiguous(memory_format=torch.channels_last)
+    y = F.conv2d(y, rows.view(1, 1, -1, 1).expand(channels, 1, h, 1), groups=channels)
+    y = F.conv2d(y, columns.view(1, 1, 1, -1).expand(channels, 1, 1, w), groups=channels)
+    return y.reshape(*x.shape[:2], *y.shape[2:])
 
 
 def mean_psnr(values, cap: float = 100.0) -> float:

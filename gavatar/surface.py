@@ -6,10 +6,13 @@ import contextlib
 import hashlib
 import numbers
 import os
+import tempfile
 from pathlib import Path
 
-import gavatar_runtime.surface as runtime_surface
 import numpy as np
+from gavatar_runtime import body as body_module
+from gavatar_runtime import kinematics, rotations
+from gavatar_runtime import surface as runtime_surface
 from gavatar_runtime.body import BodyData
 from gavatar_runtime.errors import UserError, did_you_mean
 from gavatar_runtime.surface import Surface, load_surface, positional_map, save_surface
@@ -40,7 +43,8 @@ def sample_surface(
     face winning among equally near ones. So samples reach the rim of every chart and the surface closes across seams.
     Faces without area, in the atlas or in space, carry no texel. A face smaller than a texel may get none.
 
-    Raises UserError for a resolution out of range, an unknown order, and an atlas that covers no texel.
+    Raises UserError for a resolution out of range, an unknown order, betas that are not finite, and an atlas that
+    covers no texel.
     """
     if not isinstance(resolution, numbers.Integral) or not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
         raise UserError(
@@ -49,12 +53,14 @@ def sample_surface(
         )
     if order not in ORDERS:
         raise UserError(f"surface order '{order}' is unknown: {did_you_mean(str(order), ORDERS)}")
+    if betas is not None and not np.all(np.isfinite(betas)):
+        raise UserError("betas hold NaN or infinity: give finite shape coefficients, or none for the mean shape")
     folder = default_cache_dir() if cache_dir is None else Path(cache_dir)
     path = folder / f"surface-{int(resolution)}-{_fingerprint(body, betas, int(resolution), order)}.npz"
     with contextlib.suppress(UserError):
         return load_surface(path)
     surface = _sample(body, betas, int(resolution), order)
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(UserError, OSError):
         save_surface(path, surface)
     return surface
 
@@ -62,20 +68,26 @@ def sample_surface(
 def default_cache_dir() -> Path:
     """`$XDG_CACHE_HOME/gavatar/surfaces`, or under `~/.cache` where the variable is unset, empty or relative."""
     base = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    return (base if base.is_absolute() else Path.home() / ".cache") / "gavatar" / "surfaces"
+    if not base.is_absolute():
+        try:
+            base = Path.home() / ".cache"
+        except RuntimeError:  # a user without a home, as in some containers
+            base = Path(tempfile.gettempdir())
+    return base / "gavatar" / "surfaces"
 
 
 def _fingerprint(body: BodyData, betas: np.ndarray | None, resolution: int, order: str) -> str:
     """Hash of everything the surface depends on, this code included."""
     digest = hashlib.sha256(f"{resolution} {order} {' '.join(body.joint_names)}".encode())
-    for source in (__file__, runtime_surface.__file__):
-        digest.update(Path(source).read_bytes())
+    for module in (body_module, kinematics, rotations, runtime_surface):
+        digest.update(Path(module.__file__).read_bytes())
+    digest.update(Path(__file__).read_bytes())
     shape = np.zeros(0) if betas is None else np.asarray(betas, np.float64).reshape(-1)
     arrays = (body.v_template, body.shapedirs, body.J_regressor, body.parents, body.lbs_weights, body.faces, body.uv)
     for array in (shape, body.uv_faces, *arrays):
-        array = np.ascontiguousarray(array)
+        array = np.asarray(array)
         digest.update(f"{array.dtype}{array.shape}".encode())
-        digest.update(array.view(np.uint8).reshape(-1) if array.size else b"")
+        digest.update(array.tobytes())
     return digest.hexdigest()[:32]
 
 

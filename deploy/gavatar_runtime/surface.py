@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import os
-import tempfile
 import zipfile
+import zlib
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
 from .errors import UserError
+from .files import atomic
 from .kinematics import invert_rigid, joint_transforms, skin, skinning_transforms
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Surface:
     """N points on a body of J joints in its canonical pose, one for each valid texel of an R x R UV atlas.
 
@@ -87,20 +86,20 @@ class Surface:
     def from_arrays(cls, arrays: Mapping[str, np.ndarray], source: str = "surface") -> Surface:
         """The surface that `to_arrays` took apart; `source` names the file in messages.
 
-        Raises UserError for a missing array and for one whose shape does not fit the others.
+        Raises UserError for a missing array, for one whose shape does not fit the others and for an index out of range.
         """
         names = [field.name for field in dataclasses.fields(cls)]
         missing = [name for name in names if name not in arrays]
         if missing:
             raise UserError(f"{source}: array '{missing[0]}' is missing; export the surface again")
         values = {name: np.asarray(arrays[name]) for name in names}
-        _check_shapes(values, source)
+        _check(values, source)
         values["resolution"] = int(values["resolution"])
         values["weight_truncation"] = float(values["weight_truncation"])
         return cls(**values)
 
 
-def _check_shapes(values: Mapping[str, np.ndarray], source: str) -> None:
+def _check(values: Mapping[str, np.ndarray], source: str) -> None:
     N, J = values["texel"].size, values["parents"].size
     K = values["joint_index"].shape[-1] if values["joint_index"].ndim else 0
     expected = {
@@ -111,31 +110,35 @@ def _check_shapes(values: Mapping[str, np.ndarray], source: str) -> None:
     for name, shape in expected.items():
         if values[name].shape != shape:
             raise UserError(f"{source}: array '{name}' has shape {values[name].shape}, not {shape}; export it again")
+    for name, limit in (("texel", int(values["resolution"]) ** 2), ("joint_index", J)):
+        if N and not 0 <= values[name].min() <= values[name].max() < limit:
+            raise UserError(f"{source}: array '{name}' points outside 0 to {limit - 1}; export it again")
 
 
 def save_surface(path: str | os.PathLike, surface: Surface) -> None:
-    """Write `surface` to an .npz without pickle, whole or not at all."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, **surface.to_arrays())
-        os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(temporary)
-        raise
+    """Write `surface` to an .npz without pickle, whole or not at all. Raises UserError when the place is unwritable."""
+    with atomic(path) as temporary, open(temporary, "wb") as file:
+        np.savez(file, **surface.to_arrays())
 
 
 def load_surface(path: str | os.PathLike) -> Surface:
     """The surface in an .npz written by `save_surface`. Raises UserError for an absent or damaged file, or another."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = dict(file)
     except FileNotFoundError:
         raise UserError(f"{path}: no such file; export the surface first") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, TypeError, KeyError) as error:
+    # what NumPy raises for a damaged archive depends on where the damage lies; AttributeError and TypeError mean .npy
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        KeyError,
+        AttributeError,
+        TypeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
         raise UserError(f"{path}: not a readable surface .npz ({error}); export it again") from error
     return Surface.from_arrays(arrays, str(path))
 

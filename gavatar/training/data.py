@@ -7,9 +7,8 @@ import dataclasses
 import cv2
 import numpy as np
 import torch
-from torch import Tensor
-
 from gavatar_runtime.camera import Camera
+from torch import Tensor
 
 from ..capture import Capture, View
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from omegaconf import DictConfig, OmegaConf
-
 from gavatar_runtime.errors import UserError
+from omegaconf import DictConfig, OmegaConf
 
 from ..build import AvatarBuild, build_avatar, open_capture
 from ..capture import Capture
@@ -93,8 +92,7 @@ def open_run(directory: str | Path, stage: int | None = None, capture: str | Pat
         motion.load_state_dict(state["motion"])
     except (RuntimeError, KeyError) as error:
         raise UserError(
-            f"{directory / STAGE_FILES[number]} does not fit {CONFIG} or the capture: "
-            f"{str(error).splitlines()[0]}"
+            f"{directory / STAGE_FILES[number]} does not fit {CONFIG} or the capture: {str(error).splitlines()[0]}"
         ) from None
     if number == 1:
         built.avatar.encoder = None

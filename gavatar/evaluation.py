@@ -1,0 +1,234 @@
+"""How good a run is: images against the footage, joints against the truth where the capture has it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+from gavatar_runtime.body import check_motion_fits
+from gavatar_runtime.motion import Motion
+from gavatar_runtime.surface import positional_map
+from torch import Tensor
+from tqdm import tqdm
+
+from .avatar import Avatar
+from .build import AvatarBuild, build_rasterizer
+from .capture import Capture, View
+from .image_quality import mean_psnr, psnr, ssim
+from .losses import LossComposer, LossInputs, MotionState
+from .metrics import joint_errors
+from .motion import MotionTable, RowAdam
+from .training.data import footage, load_full
+from .training.run import Run
+
+WHITE = (1.0, 1.0, 1.0)
+POSES = {
+    "refined": "poses as training refined them",
+    "estimated": "poses of body.npz, as given",
+    "true": "the capture's true poses",
+    "fitted": "poses of body.npz fitted to these images with the avatar frozen",
+}
+
+
+@dataclasses.dataclass
+class ViewScore:
+    """One rendered view against its footage, both on white, whole frame. psnr: dB. perceptual: distance or None."""
+
+    view: View
+    psnr: float
+    ssim: float
+    perceptual: float | None
+
+
+@dataclasses.dataclass
+class SplitScore:
+    """One row of the table: a split rendered with one source of poses."""
+
+    split: str
+    poses: str
+    scores: list[ViewScore]
+    mpjpe_mm: float | None = None
+    pa_mpjpe_mm: float | None = None
+
+    @property
+    def psnr(self) -> float:
+        return mean_psnr([s.psnr for s in self.scores])
+
+    @property
+    def ssim(self) -> float:
+        return float(np.mean([s.ssim for s in self.scores]))
+
+    @property
+    def perceptual(self) -> float | None:
+        values = [s.perceptual for s in self.scores if s.perceptual is not None]
+        return float(np.mean(values)) if values else None
+
+    @property
+    def worst(self) -> ViewScore:
+        return min(self.scores, key=lambda s: s.psnr)
+
+    def as_json(self) -> dict:
+        worst = self.worst
+        return {
+            "split": self.split,
+            "poses": self.poses,
+            "views": len(self.scores),
+            "psnr": round(self.psnr, 3),
+            "ssim": round(self.ssim, 5),
+            "perceptual": None if self.perceptual is None else round(self.perceptual, 5),
+            "worst_view": str(worst.view),
+            "worst_psnr": round(worst.psnr, 3),
+            "mpjpe_mm": None if self.mpjpe_mm is None else round(self.mpjpe_mm, 2),
+            "pa_mpjpe_mm": None if self.pa_mpjpe_mm is None else round(self.pa_mpjpe_mm, 2),
+        }
+
+
+@torch.no_grad()
+def pose_features(avatar: Avatar, built: AvatarBuild, poses: np.ndarray) -> Tensor | None:
+    """Pose features of (B, J, 3) axis-angle poses, or None for a static avatar."""
+    if avatar.encoder is None:
+        return None
+    surface = built.surface(avatar.encoder.map_size)
+    maps = torch.from_numpy(positional_map(surface, poses.astype(np.float32))).permute(0, 3, 1, 2)
+    return avatar.encode(maps.to(avatar.features.device))
+
+
+class Evaluator:
+    """Renders a run's avatar for views of its capture.
+
+    perceptual: a function of two (1, 3, H, W) images, or None to leave that column out.
+    """
+
+    def __init__(self, run: Run, perceptual: Callable[[Tensor, Tensor], Tensor] | None = None, progress: bool = True):
+        self.run, self.perceptual, self.progress = run, perceptual, progress
+        self.rasterize = build_rasterizer(run.config.rasterizer)
+        self._static = None
+        if run.avatar.encoder is None:
+            with torch.no_grad():
+                self._static = run.avatar.attributes()
+
+    @torch.no_grad()
+    def render(self, view: View, motion: Motion) -> np.ndarray:
+        """(H, W, 3) float32 image of the avatar on white in the pose that `motion` has at the view's frame."""
+        run = self.run
+        poses = check_motion_fits(motion.poses[view.frame][None], run.built.body.data.num_joints)
+        attributes = self._static or run.avatar.attributes(pose_features(run.avatar, run.built, poses))
+        table = MotionTable(Motion(poses, motion.trans[view.frame][None], motion.fps), poses.shape[1])
+        (gaussians,) = run.avatar.pose(attributes, *table())
+        return self.rasterize(gaussians, run.capture.cameras[view.camera], WHITE).color.numpy()
+
+    def score(self, split: str, poses: str, views: Sequence[View], motion: Motion) -> SplitScore:
+        """Scores of `views` with the poses of `motion`, and its joint error over their frames where truth exists."""
+        scores = []
+        for view in tqdm(views, desc=f"{split}, {poses} poses", unit="view", disable=not self.progress, leave=False):
+            color, alpha = self.run.capture.load(view)
+            target = torch.from_numpy(color + (1 - alpha[..., None])).permute(2, 0, 1)[None]
+            image = torch.from_numpy(self.render(view, motion)).permute(2, 0, 1)[None].clamp(0, 1)
+            distance = None if self.perceptual is None else float(self.perceptual(image, target))
+            scores.append(ViewScore(view, float(psnr(image, target)), float(ssim(image, target)), distance))
+        result = SplitScore(split, poses, scores)
+        if self.run.capture.truth is not None:
+            frames = sorted({view.frame for view in views})
+            result.mpjpe_mm, result.pa_mpjpe_mm = motion_errors(self.run.built, motion, self.run.capture.truth, frames)
+        return result
+
+    def fit(self, views: Sequence[View], steps: int = 60, image_scale: float = 1.0) -> Motion:
+        """The capture's motion with the frames of `views` fitted to their images, avatar frozen.
+
+        The same losses, learning rates and row-wise Adam as stage 1; every view is seen at every step. Pose features
+        are those of the estimated pose while fitting.
+        """
+        return fit_motion(self.run, self.rasterize, views, steps, image_scale, self._static, self.progress)
+
+
+def fit_motion(
+    run: Run, rasterize, views: Sequence[View], steps: int, image_scale: float, static=None, progress: bool = True
+) -> Motion:
+    """See `Evaluator.fit`."""
+    capture, config, avatar = run.capture, run.config, run.avatar
+    data = footage(capture, list(views), load_full(capture, list(views)), image_scale, config.crop)
+    table = MotionTable(capture.motion, run.built.body.data.num_joints, config.motion.joints)
+    frames = sorted({view.frame for view in views})
+    row = {frame: i for i, frame in enumerate(frames)}
+    poses = check_motion_fits(capture.motion.poses[frames], run.built.body.data.num_joints)
+    losses = LossComposer(
+        {k: v for k, v in config.losses.items() if k not in ("feature", "pose_feature", "perceptual")}
+    )
+    optimizer = RowAdam(
+        [
+            {"params": [table.rotation_correction], "lr": config.motion.lr},
+            {"params": [table.trans_correction], "lr": config.motion.lr_trans},
+        ]
+    )
+    attributes = {}
+    with torch.no_grad():
+        for i, frame in enumerate(frames):
+            attributes[frame] = static or avatar.attributes(pose_features(avatar, run.built, poses[i : i + 1]))
+    times = torch.tensor(frames, dtype=torch.float32) / table.fps
+    chunk = 8
+    for step in tqdm(range(steps), desc="fitting held-out poses", unit="step", disable=not progress, leave=False):
+        factor = 0.5 * (1 + np.cos(np.pi * step / max(1, steps)))
+        for group, lr in zip(optimizer.param_groups, (config.motion.lr, config.motion.lr_trans), strict=True):
+            group["lr"] = lr * max(0.05, factor)
+        optimizer.zero_grad()
+        for start in range(0, len(views), chunk):
+            part = list(range(start, min(start + chunk, len(views))))
+            rotations, trans = table(frames)
+            images, alphas = [], []
+            for r in part:
+                view, camera = data.views[r], data.cameras[r]
+                i = row[view.frame]
+                (gaussians,) = avatar.pose(attributes[view.frame], rotations[i : i + 1], trans[i : i + 1])
+                rendering = rasterize(gaussians, camera, WHITE)
+                images.append(rendering.color.permute(2, 0, 1))
+                alphas.append(rendering.alpha)
+            target, mask = data.batch(part, torch.ones(3), torch.device("cpu"))
+            motion = MotionState(
+                rotations=rotations,
+                rotations_initial=table.initial_rotations[frames],
+                trans=trans,
+                trans_initial=table.initial_trans[frames],
+                frame_times=times,
+            )
+            inputs = LossInputs(
+                render=torch.stack(images), target=target, alpha=torch.stack(alphas), mask=mask, motion=motion
+            )
+            losses(inputs)[0].backward()
+        optimizer.step(torch.tensor(frames))
+    return table.motion("fitted")
+
+
+def motion_errors(built: AvatarBuild, motion: Motion, truth: Motion, frames: Sequence[int]) -> tuple[float, float]:
+    """MPJPE (root-aligned) and PA-MPJPE in millimetres over the 22 body joints of the given frames."""
+    frames = list(frames)
+    skeleton = built.avatar.skeleton
+
+    def joints(m: Motion) -> np.ndarray:
+        table = MotionTable(Motion(m.poses[frames], m.trans[frames], m.fps), len(skeleton.parents))
+        with torch.no_grad():
+            rotations, trans = table()
+            return (skeleton.posed_joints(rotations) + trans[:, None]).numpy()
+
+    return joint_errors(joints(motion), joints(truth))
+
+
+def evaluation_plan(capture: Capture, splits: Sequence[str] | None, fit: bool) -> list[tuple[str, str, list[View]]]:
+    """(split, poses, views) rows worth having: training views with refined poses; held-out ones with true poses where
+    the capture has them, else the estimated ones, and fitted; other cameras with true poses or, for trained frames,
+    refined ones."""
+    trained = {view.frame for view in capture.views("train")}
+    plan = []
+    for split in splits or [s for s, views in capture.splits.items() if views]:
+        views = capture.views(split)
+        if split == "train":
+            plan.append((split, "refined", views))
+            continue
+        plan.append((split, "true" if capture.truth is not None else "estimated", views))
+        seen = [view for view in views if view.frame in trained]
+        if seen:
+            plan.append((split, "refined", seen))
+        elif fit:
+            plan.append((split, "fitted", views))
+    return plan
