@@ -67,8 +67,7 @@ class Surface:
         computed in float64. Raises ValueError when the joints are not J.
         """
         poses = np.asarray(poses)
-        if poses.shape[-2:] != (self.num_joints, 3):
-            raise ValueError(f"poses have shape {poses.shape}, expected (..., {self.num_joints}, 3)")
+        _check_poses(poses, self.num_joints)
         dtype = poses.dtype if np.issubdtype(poses.dtype, np.floating) else np.dtype(np.float32)
         T = joint_transforms(poses.astype(np.float64), self.joints, self.parents)
         return (skinning_transforms(T, self.joints) @ invert_rigid(self.A_canonical)).astype(dtype)
@@ -97,6 +96,11 @@ class Surface:
         values["resolution"] = int(values["resolution"])
         values["weight_truncation"] = float(values["weight_truncation"])
         return cls(**values)
+
+
+def _check_poses(poses: np.ndarray, num_joints: int) -> None:
+    if poses.shape[-2:] != (num_joints, 3):
+        raise ValueError(f"poses have shape {poses.shape}, expected (..., {num_joints}, 3)")
 
 
 def _check(values: Mapping[str, np.ndarray], source: str) -> None:
@@ -148,9 +152,11 @@ def positional_map(surface: Surface, poses: np.ndarray) -> np.ndarray:
 
     poses: (..., J, 3) axis-angle, radians; leading axes are a batch. Returns (..., R, R, 3) float32, metres, in the
     frame of the root joint: its rotation is taken as zero and its place is the origin, so that the map depends neither
-    on where the person stands nor on where they face. Invalid texels are zero.
+    on where the person stands nor on where they face. Invalid texels are zero. Raises ValueError when the joints are
+    not J.
     """
     poses = np.array(poses, np.float32)
+    _check_poses(poses, surface.num_joints)
     poses[..., surface.root, :] = 0
     A = surface.skin_transforms(poses)
     A[..., :3, 3] -= surface.joints[surface.root].astype(np.float32)
