@@ -12,10 +12,13 @@ import functools
 import importlib
 import importlib.metadata
 import pkgutil
+import typing
 import warnings
 
 from gavatar_runtime.motions import MOTIONS
 from gavatar_runtime.registry import Component, NoOptions, Registry
+
+from .extras import extra_of, install_command
 
 BODIES: Registry = Registry("body")
 ENCODERS: Registry = Registry("encoder")
@@ -36,10 +39,12 @@ __all__ = [
 
 @dataclasses.dataclass(frozen=True)
 class PluginFailure:
-    """A plugin that could not be imported: its module or entry point, and why."""
+    """A plugin that could not be imported: its module or entry point, and why. extra: the extra of gavatar that would
+    mend it, '' when the cause is another."""
 
     plugin: str
     cause: str
+    extra: str = ""
 
 
 def _builtin_modules() -> list[str]:
@@ -54,34 +59,71 @@ def _builtin_modules() -> list[str]:
 
 @functools.cache
 def load_plugins() -> tuple[PluginFailure, ...]:
-    """Import every plugin once; returns those that failed. Each failure is also a warning."""
+    """Import every plugin once; returns those that failed.
+
+    Each failure is also a warning, except that plugins which want an extra share one warning an extra: in a base
+    install they are many and nothing is wrong with them.
+    """
     failures = []
     jobs = [(name, functools.partial(importlib.import_module, name)) for name in _builtin_modules()]
     for point in importlib.metadata.entry_points(group=ENTRY_POINT_GROUP):
-        jobs.append((f"{point.name} ({point.value})", point.load))
+        source = f", from {point.dist.name}" if point.dist else ""
+        jobs.append((f"{point.name} ({point.value}{source})", point.load))
     for plugin, load in jobs:
         try:
             load()
-        except Exception as error:  # whatever a plugin does at import must not take the others down
-            failures.append(PluginFailure(plugin, f"{type(error).__name__}: {error}"))
-            warnings.warn(f"plugin {plugin} was skipped: {failures[-1].cause}", stacklevel=2)
+        except (Exception, SystemExit) as error:  # whatever a plugin does at import must not take the others down
+            failures.append(_failure(plugin, error))
+    _warn(failures)
     return tuple(failures)
+
+
+def _failure(plugin: str, error: BaseException) -> PluginFailure:
+    extra = extra_of(error.name) if isinstance(error, ModuleNotFoundError) else None
+    if extra is None:
+        return PluginFailure(plugin, f"{type(error).__name__}: {error}")
+    return PluginFailure(plugin, f"needs {error.name}: {install_command(extra)}", extra)
+
+
+def _warn(failures: list[PluginFailure]) -> None:
+    for failure in failures:
+        if not failure.extra:
+            warnings.warn(f"plugin {failure.plugin} was skipped: {failure.cause}", stacklevel=3)
+    for extra in sorted({failure.extra for failure in failures} - {""}):
+        skipped = [failure.plugin for failure in failures if failure.extra == extra]
+        warnings.warn(f"plugins were skipped, {install_command(extra)} brings them: {', '.join(skipped)}", stacklevel=3)
 
 
 def fill_config_store() -> None:
     """Put every component's options into Hydra's ConfigStore, as group `<registry>` and option `<component>`.
 
     The stored node is the component's dataclass with a `name` field, so that `decoder=mlp decoder.width=64` composes
-    and is type-checked with no YAML of its own. Losses and motions compose by name elsewhere and are not groups.
+    and is type-checked with no YAML of its own. Losses and motions compose by name elsewhere and are not groups. A
+    component whose options Hydra cannot hold is named in a warning, and the rest go on.
     """
     from hydra.core.config_store import ConfigStore
+    from omegaconf.errors import OmegaConfBaseException
 
     store = ConfigStore.instance()
     for registry in (BODIES, ENCODERS, DECODERS, RASTERIZERS, CAPTURES):
         for component in registry:
-            node = dataclasses.make_dataclass(
-                f"{component.config.__name__}Node",
-                [("name", str, dataclasses.field(default=component.name))],
-                bases=(component.config,),
-            )
-            store.store(group=registry.group, name=component.name, node=node, provider="gavatar")
+            try:
+                store.store(group=registry.group, name=component.name, node=_node(component), provider="gavatar")
+            except (OmegaConfBaseException, TypeError, NameError) as error:
+                cause = str(error).strip().splitlines()[0]
+                warnings.warn(f"{registry.group} '{component.name}' cannot be configured: {cause}", stacklevel=2)
+
+
+def _node(component: Component) -> type:
+    """The component's options and its name as one plain dataclass: Hydra would make a frozen one read-only."""
+    hints = typing.get_type_hints(component.config)
+    fields = [("name", str, dataclasses.field(default=component.name))]
+    for field in dataclasses.fields(component.config):
+        if not field.init or field.name == "name":
+            continue
+        if field.default_factory is not dataclasses.MISSING:
+            value = dataclasses.field(default_factory=field.default_factory)
+        else:  # OmegaConf's word for a value that the user owes
+            value = dataclasses.field(default="???" if field.default is dataclasses.MISSING else field.default)
+        fields.append((field.name, hints[field.name], value))
+    return dataclasses.make_dataclass(f"{component.config.__name__}Node", fields)
