@@ -57,6 +57,12 @@ def _sentence(user: str, module: str, extra: str) -> str:
     return f"{user} needs {module.partition('.')[0]}, which is not installed: {install_command(extra)}"
 
 
+def _installed(module: str) -> bool:
+    if module in sys.modules:
+        return sys.modules[module] is not None  # None blocks an import, which find_spec would raise on
+    return importlib.util.find_spec(module) is not None
+
+
 def import_from_extra(module: str, needed_by: str) -> ModuleType:
     """Import `module`; UserError naming `needed_by` and the extra when it, or what it imports, is not installed."""
     try:
@@ -81,7 +87,7 @@ def requires_extra(extra: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         def run(*args: P.args, **kwargs: P.kwargs) -> R:
             name = pathlib.Path(sys.argv[0]).stem
             for module in _ESSENTIAL.get(extra, ()):
-                if module not in sys.modules and importlib.util.find_spec(module) is None:
+                if not _installed(module):
                     raise UserError(_sentence(name, module, extra))
             try:
                 return command(*args, **kwargs)
