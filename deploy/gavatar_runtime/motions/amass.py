@@ -36,6 +36,8 @@ class AmassFile:
     def __init__(self, config: AmassOptions, *, path: Path):
         if config.up not in ("auto", "y", "z"):
             raise UserError(f"motion option up={config.up}: choose from auto, y, z")
+        if not isinstance(config.fps, (int, float)):
+            raise UserError(f"motion option fps={config.fps}: give a number of frames per second, 0 for the file's own")
         self.config = config
         self.path = path
 
