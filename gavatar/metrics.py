@@ -56,8 +56,8 @@ def masked(metric: ImageMetric, image: Tensor, reference: Tensor, mask: Tensor, 
         rows, columns = covered.any(1).nonzero().flatten(), covered.any(0).nonzero().flatten()
         if len(rows) == 0:
             raise UserError(f"mask {b} of the batch is empty: there is no person to score, leave this view out")
-        box = tuple(slice(max(0, int(i[0]) - margin), int(i[-1]) + 1 + margin) for i in (rows, columns))
-        scores.append(metric(image[b : b + 1, :, *box], reference[b : b + 1, :, *box]))
+        y, x = (slice(max(0, int(i[0]) - margin), int(i[-1]) + 1 + margin) for i in (rows, columns))
+        scores.append(metric(image[b : b + 1, :, y, x], reference[b : b + 1, :, y, x]))
     return torch.cat(scores)
 
 
