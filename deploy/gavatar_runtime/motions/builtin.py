@@ -26,8 +26,8 @@ RELAXED_LEFT = {
     "left_hip": (0, 4, -4),
     "left_knee": (0, 0, 4),
 }
-MAX_FRAMES = 1_000_000
 FINGER_CURL = {"index": 14, "middle": 18, "ring": 21, "pinky": 22}  # degrees a phalanx, about z
+MAX_FRAMES = 1_000_000
 
 
 @dataclasses.dataclass
