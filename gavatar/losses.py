@@ -13,10 +13,10 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 import torch
-from gavatar_runtime.errors import UserError
 from torch import Tensor
 
 from gavatar.registry import LOSSES, load_plugins
+from gavatar_runtime.errors import UserError
 
 
 @dataclasses.dataclass(kw_only=True)

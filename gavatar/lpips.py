@@ -14,8 +14,9 @@ import pickle
 
 import torch
 import torch.nn.functional as F
-from gavatar_runtime.errors import UserError, did_you_mean
 from torch import Tensor, nn
+
+from gavatar_runtime.errors import UserError, did_you_mean
 
 BACKBONE_VARIABLE = "GAVATAR_LPIPS_BACKBONE"
 MIN_SIZE = 32  # AlexNet's last pooling needs 31 pixels

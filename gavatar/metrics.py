@@ -10,9 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
+from torch import Tensor
+
 from gavatar_runtime.body import SMPL_BODY_JOINTS
 from gavatar_runtime.errors import UserError
-from torch import Tensor
 
 from .image_quality import mean_psnr, psnr, ssim
 from .lpips import Lpips

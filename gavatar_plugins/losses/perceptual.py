@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 
-from gavatar_runtime.errors import UserError
 from torch import Tensor
 
 from gavatar.losses import LossConfig, LossInputs, check_size, step_seed
 from gavatar.perceptual import MAX_DEPTH, cheaper_pair, perceptual_distance
 from gavatar.registry import LOSSES
+from gavatar_runtime.errors import UserError
 
 
 @dataclasses.dataclass
