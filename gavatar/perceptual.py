@@ -128,7 +128,9 @@ def load_weights() -> dict[str, Tensor]:
 
 @functools.lru_cache(maxsize=4)
 def _features(depth: int, device: torch.device, dtype: torch.dtype) -> LiteFeatures:
-    return LiteFeatures(depth).to(device, dtype).eval()
+    # cached beyond the caller's mode: tensors made under inference_mode could never be trained through
+    with torch.inference_mode(False):
+        return LiteFeatures(depth).to(device, dtype).eval()
 
 
 def perceptual_distance(image: Tensor, reference: Tensor, depth: int = 4) -> Tensor:

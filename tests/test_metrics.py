@@ -60,9 +60,8 @@ def test_a_masked_metric_sees_only_the_box_of_the_mask():
     mask = torch.zeros(2, 30, 20)
     mask[0, 4:20, 2:15] = 1
     mask[1, 29, 19] = 0.6  # a single pixel in the corner
-    expected = torch.cat(
-        [psnr(x[:1, :, 4:20, 2:15], y[:1, :, 4:20, 2:15]), psnr(x[1:, :, 29:, 19:], y[1:, :, 29:, 19:])]
-    )
+    boxes = [(slice(4, 20), slice(2, 15)), (slice(29, 30), slice(19, 20))]
+    expected = torch.cat([psnr(x[b : b + 1, :, r, c], y[b : b + 1, :, r, c]) for b, (r, c) in enumerate(boxes)])
     assert torch.equal(masked(psnr, x, y, mask), expected)
     grown = masked(ssim, x, y, mask, margin=3)
     assert torch.allclose(grown[:1], ssim(x[:1, :, 1:23, :18], y[:1, :, 1:23, :18]))
@@ -96,8 +95,8 @@ def test_mpjpe_is_the_mean_distance_in_millimetres(joints):
     moved = joints.copy()
     moved[:, 3] += [0.022, 0, 0]  # one of 22 joints by 22 mm
     assert mpjpe(moved, joints) == pytest.approx(np.full(6, 1.0))
-    assert mpjpe(joints + [1, 2, 3], joints) == pytest.approx(np.zeros(6), abs=1e-9)
-    assert mpjpe(joints + [3, 0, 4], joints, root=None) == pytest.approx(np.full(6, 5000.0))
+    assert mpjpe(joints + np.array([1, 2, 3]), joints) == pytest.approx(np.zeros(6), abs=1e-9)
+    assert mpjpe(joints + np.array([3, 0, 4]), joints, root=None) == pytest.approx(np.full(6, 5000.0))
 
 
 def test_only_the_body_joints_count(joints):
