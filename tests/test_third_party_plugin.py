@@ -40,6 +40,15 @@ def run(installed: Path, module: str, *arguments: str, cwd: Path) -> subprocess.
     )
 
 
+def test_the_documented_example_is_the_tested_one():
+    blocks = (ROOT / "docs" / "plugins.md").read_text().split("```")[1::2]
+    for language, path in (("python", "src/gavatar_tinydecoder/decoder.py"), ("toml", "pyproject.toml")):
+        tested = (EXAMPLE / path).read_text().splitlines()
+        (block,) = [b for b in blocks if b.startswith(language)]
+        shown = [line for line in block.splitlines()[1:] if not line.startswith("# ")]
+        assert [line for line in shown if line not in tested] == []
+
+
 def test_the_list_names_the_distribution_and_reports_the_broken_sibling(installed, tmp_path):
     done = run(installed, "gavatar.cli.list", "decoder", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
