@@ -10,10 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import onnx
+from onnx import TensorProto, helper, numpy_helper
+
 from gavatar_runtime.body import BodyData
 from gavatar_runtime.bundle import Manifest, pack_body, pack_surfaces, write_bundle
+from gavatar_runtime.motion import Motion
 from gavatar_runtime.surface import Surface
-from onnx import TensorProto, helper, numpy_helper
 
 BODY = Path(__file__).resolve().parents[1] / "gavatar" / "data" / "body" / "gavatar_body_smplh.npz"
 OPSET = 17
@@ -126,3 +128,8 @@ def manifest(count: int = 300, *, dynamic: bool = False) -> Manifest:
 def make_bundle(path: Path, count: int = 300, *, dynamic: bool = False, **options) -> Path:
     write_bundle(path, manifest(count, dynamic=dynamic), members(count, dynamic=dynamic, **options))
     return path
+
+
+def still(frames=1, joints=52, fps=30.0, name="still"):
+    """Frames of the T-pose."""
+    return Motion(np.zeros((frames, joints, 3), np.float32), np.zeros((frames, 3), np.float32), fps, name=name)

@@ -264,7 +264,8 @@ def _slice(text: str) -> slice:
         numbers = [int(part) if part else None for part in parts]
     except ValueError:
         numbers = []
-    if not 1 <= len(numbers) <= 3 or numbers == [None] or (len(numbers) == 3 and (numbers[2] or 1) < 1):
+    step = numbers[2] if len(numbers) == 3 else None
+    if not 1 <= len(numbers) <= 3 or numbers == [None] or (step is not None and step < 1):
         raise argparse.ArgumentTypeError(f"'{text}' is not A:B, A:B:STEP or A, in whole numbers")
     if len(numbers) == 1:
         return slice(numbers[0], numbers[0] + 1 or None)
