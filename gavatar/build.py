@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.surface import Surface
 

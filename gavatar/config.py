@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from gavatar_runtime.errors import UserError
+from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
+
+from gavatar_runtime.errors import UserError
 
 from .avatar import AvatarConfig
 from .registry import BODIES, DECODERS, ENCODERS, LOSSES, RASTERIZERS, fill_config_store, load_plugins
@@ -33,7 +36,7 @@ class StageConfig:
     steps: int = 1000
     batch: int = 4
     lr_decoder: float = 3e-3
-    lr_features: float = 5e-4
+    lr_features: float = 2e-2
     lr_encoder: float = 1e-3
     lr_final: float = 0.05
     levels: list[LevelConfig] = dataclasses.field(default_factory=lambda: [LevelConfig()])
@@ -46,8 +49,8 @@ class MotionConfig:
     first joints are corrected."""
 
     enabled: bool = True
-    lr: float = 5e-3
-    lr_trans: float = 2e-3
+    lr: float = 1.5e-2
+    lr_trans: float = 6e-3
     start: float = 0.0
     end: float = 1.0
     joints: int = 22
@@ -90,6 +93,13 @@ def register_configs() -> None:
     fill_config_store()
     OmegaConf.register_new_resolver("capture_name", lambda path: Path(str(path)).resolve().name, replace=True)
     ConfigStore.instance().store(name="train_schema", node=TrainConfig, provider="gavatar")
+
+
+def compose_config(overrides: Sequence[str]) -> DictConfig:
+    """What `gavatar-train OVERRIDES` would train, composed without starting Hydra's application."""
+    register_configs()
+    with initialize_config_module("gavatar.conf", version_base="1.3"):
+        return compose("train", overrides=list(overrides))
 
 
 def check(config: DictConfig) -> TrainConfig:

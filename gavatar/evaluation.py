@@ -7,11 +7,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
+from torch import Tensor
+from tqdm import tqdm
+
 from gavatar_runtime.body import check_motion_fits
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.surface import positional_map
-from torch import Tensor
-from tqdm import tqdm
 
 from .avatar import Avatar
 from .build import AvatarBuild, build_rasterizer

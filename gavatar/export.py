@@ -12,14 +12,15 @@ from pathlib import Path
 import numpy as np
 import onnx
 import torch
+from onnx import TensorProto, helper, numpy_helper
+from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
+
 from gavatar_runtime.avatar import Avatar as PlayedAvatar
 from gavatar_runtime.body import check_motion_fits
 from gavatar_runtime.bundle import FORMAT_VERSION, Manifest, pack_body, pack_surfaces, read_bundle, write_bundle
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motion import Motion
-from onnx import TensorProto, helper, numpy_helper
-from torch import Tensor, nn
-from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from .avatar import Avatar, sample_uv
 from .evaluation import pose_features

@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.files import atomic, write_json
 from gavatar_runtime.motion import Motion

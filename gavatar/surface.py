@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+
 from gavatar_runtime import body as body_module
 from gavatar_runtime import kinematics, rotations
 from gavatar_runtime import surface as runtime_surface

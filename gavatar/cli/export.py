@@ -51,7 +51,8 @@ def main(argv: list[str] | None = None) -> int:
     manifest = export(run, out, arguments.poses)
     check = manifest.export_check
     print(
-        f"{out}: {manifest.gaussians} Gaussians, {'dynamic' if manifest.dynamic else 'static'}, opset {manifest.opset}, "
+        f"{out}: {manifest.gaussians} Gaussians, {'dynamic' if manifest.dynamic else 'static'}, "
+        f"opset {manifest.opset}, "
         f"{out.stat().st_size / 1e6:.1f} MB\n"
         f"verified on {check['poses']} poses: positions within {1000 * check['position_m']:.5f} mm, "
         f"colours within {255 * check['color']:.4f}/255 of PyTorch"

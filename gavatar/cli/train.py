@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.resources
 import os
 import sys
 
@@ -28,25 +29,24 @@ A killed run continues when the same command is given again; overwrite=true star
 
 def check_overrides(arguments: list[str]) -> None:
     """Compose every job of the command line once, so that a mistake is one sentence before anything starts."""
-    from hydra import compose, initialize_config_module
     from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
-    from ..config import check
+    from ..config import check, compose_config
     from ..registry import BODIES, CAPTURES, DECODERS, ENCODERS, RASTERIZERS
 
+    conf = importlib.resources.files("gavatar.conf")
     groups = {r.group: r for r in (BODIES, CAPTURES, DECODERS, ENCODERS, RASTERIZERS)}
     try:
         parsed = OverridesParser.create().parse_overrides([a for a in arguments if not a.startswith("-")])
         for job in BasicSweeper.split_arguments(parsed, None)[0]:
             for override in job:
                 group, _, name = override.partition("=")
-                if group in groups:
+                if group in groups and not (conf / group / f"{name}.yaml").is_file():
                     groups[group][name]  # raises with the choices and the nearest match
-            with initialize_config_module("gavatar.conf", version_base="1.3"):
-                check(compose("train", overrides=list(job)))
+            check(compose_config(job))
     except (HydraException, OmegaConfBaseException) as error:
         raise UserError(_one_sentence(error)) from None
 

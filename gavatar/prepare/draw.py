@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+
 from gavatar_runtime.body import BodyData
 from gavatar_runtime.camera import Camera
 

@@ -10,20 +10,22 @@ import dataclasses
 
 import numpy as np
 import torch
-from gavatar_runtime.camera import Camera
-from gavatar_runtime.errors import UserError
-from gavatar_runtime.rotations import axis_angle_from_matrix
 from torch import Tensor
 from tqdm import tqdm
 
 from gavatar.body import SMPL_BODY_JOINTS, BodyData
 from gavatar.rotations import matrix_from_axis_angle
+from gavatar_runtime.camera import Camera
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.rotations import axis_angle_from_matrix
 
 from .anatomy import joint_ranges
 from .initial import Observations, facing, observe, place
 from .landmarks import BONES, MIRROR, OFFSET_SIGMA, Landmarks
 from .rig import FitRig, Posed
-from .silhouette import Silhouettes, outline_gap, outside_distance
+from .silhouette import Silhouettes, nearest_to_outline, outline_gap, outside_distance
+
+NEAREST_EVERY = 5  # steps between two searches for the point nearest to the outline, the dearest part of a step
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,6 +108,8 @@ class BodyFitter:
         self._unknowns(root, trans)
         self._observations(seen)
         self.silhouettes = silhouettes
+        self.nearest: dict[int, Tensor] = {}
+        self.nearest_age = [0] * len(cameras)
 
     def _unknowns(self, root: np.ndarray, trans: np.ndarray) -> None:
         self.root0 = _tensor(root)
@@ -175,13 +179,15 @@ class BodyFitter:
 
     def _silhouette_terms(self, c: int, surface: Tensor) -> tuple[Tensor, Tensor]:
         silhouettes, options = self.silhouettes[c], self.options
-        frames = torch.arange(self.frames)
         pixels, depth = self.project(c, surface)
         metres = depth.detach().mean(1, keepdim=True) / self.K[c][0]
         # vertices are all counted: a whole limb outside costs more than a finger
-        inside = huber(outside_distance(silhouettes, frames, pixels) * metres, options.inside_sigma).mean() * 4
-        gap, valid = outline_gap(silhouettes, frames, pixels)
-        return inside, _mean(robust(gap * metres, options.reach_sigma), valid)
+        inside = huber(outside_distance(silhouettes, pixels) * metres, options.inside_sigma).mean() * 4
+        if self.nearest_age[c] % NEAREST_EVERY == 0:
+            self.nearest[c] = nearest_to_outline(silhouettes, pixels)
+        self.nearest_age[c] += 1
+        gap = outline_gap(silhouettes, pixels, self.nearest[c])
+        return inside, _mean(robust(gap * metres, options.reach_sigma), silhouettes.valid)
 
     def _smoothness(self, body: Posed) -> Tensor:
         if self.frames < 3:

@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 
 import numpy as np
+
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp

@@ -8,6 +8,7 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
+
 from gavatar_runtime.body import SMPL_BODY_JOINTS, BodyData
 from gavatar_runtime.errors import UserError
 

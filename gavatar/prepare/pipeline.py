@@ -6,11 +6,11 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+
+from gavatar.body import BodyData
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motion import Motion
-
-from gavatar.body import BodyData
 
 from .fit import BodyFitter, Fit, FitOptions
 from .initial import DEFAULT_FOV, guess_camera

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from gavatar.body import SMPL_BODY_JOINTS, BodyData, joint_transforms
 from gavatar.rotations import matrix_from_axis_angle
-from gavatar.skinning import skin
 
 from .landmarks import fold_hands, landmark_rows
 
@@ -76,8 +75,18 @@ class FitRig:
         shift = trans[:, None]
         skin_points = None
         if surface:
-            skin_points = skin(self.surface0 + self.surface_dirs @ betas, self.surface_weights, transforms) + shift
-        return Posed(rotations, p + shift, skin(marks, self.landmark_weights, transforms) + shift, skin_points)
+            skin_points = _skin(self.surface0 + self.surface_dirs @ betas, self.surface_weights, transforms) + shift
+        return Posed(rotations, p + shift, _skin(marks, self.landmark_weights, transforms) + shift, skin_points)
+
+
+def _skin(points: Tensor, weights: Tensor, transforms: Tensor) -> Tensor:
+    """`gavatar.skinning.skin` for points that all T frames share: (P, 3), (P, J), (T, J, 3, 4) -> (T, P, 3).
+
+    sum_j w_j A_j [x, 1] as one product of (P, 4 J) and (4 J, 3 T), which spares a blended matrix per point and frame.
+    """
+    homogeneous = torch.cat([points, torch.ones_like(points[:, :1])], -1)
+    features = (weights[:, :, None] * homogeneous[:, None]).flatten(1)
+    return torch.einsum("pf,tfc->tpc", features, transforms.transpose(-1, -2).flatten(1, 2))
 
 
 def _tensor(array: np.ndarray) -> Tensor:

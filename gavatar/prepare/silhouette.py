@@ -77,22 +77,23 @@ def _outline(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return pixels + 0.5, normals / np.maximum(length, 1e-6)
 
 
-def outside_distance(silhouettes: Silhouettes, frames: Tensor, points: Tensor) -> Tensor:
-    """(F, P) how far projected points (F, P, 2) lie outside the masks of `frames`, pixels; differentiable."""
+def outside_distance(silhouettes: Silhouettes, points: Tensor) -> Tensor:
+    """(T, P) how far projected points (T, P, 2) lie outside the masks, pixels; differentiable."""
     size = torch.tensor(silhouettes.size, dtype=points.dtype)
     grid = (points / size * 2 - 1)[:, None]
-    maps = silhouettes.outside[frames]
-    return torch.nn.functional.grid_sample(maps, grid, padding_mode="border", align_corners=False)[:, 0, 0]
+    return torch.nn.functional.grid_sample(silhouettes.outside, grid, padding_mode="border", align_corners=False)[
+        :, 0, 0
+    ]
 
 
-def outline_gap(silhouettes: Silhouettes, frames: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    """How far the nearest projected point stays short of the mask's outline, along the outline's normal.
+@torch.no_grad()
+def nearest_to_outline(silhouettes: Silhouettes, points: Tensor) -> Tensor:
+    """(T, N) which of the projected points (T, P, 2) is nearest to each point of the outline."""
+    return torch.cdist(silhouettes.outline, points).argmin(-1)
 
-    points: (F, P, 2). Returns the signed gap (F, N), pixels, positive where the body does not reach, and weights
-    (F, N). Which point is nearest is decided without gradient (point-to-line ICP).
-    """
-    outline, normal = silhouettes.outline[frames], silhouettes.normal[frames]
-    with torch.no_grad():
-        nearest = torch.cdist(outline, points).argmin(-1)
+
+def outline_gap(silhouettes: Silhouettes, points: Tensor, nearest: Tensor) -> Tensor:
+    """(T, N) how far the point `nearest` stays short of the mask's outline, along the outline's normal, pixels;
+    positive where the body does not reach (point-to-line distance, as in ICP). points: (T, P, 2)."""
     reached = torch.gather(points, 1, nearest[..., None].expand(-1, -1, 2))
-    return ((outline - reached) * normal).sum(-1), silhouettes.valid[frames]
+    return ((silhouettes.outline - reached) * silhouettes.normal).sum(-1)

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
 

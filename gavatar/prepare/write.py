@@ -12,14 +12,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from gavatar_runtime.camera import Camera
-from gavatar_runtime.errors import UserError
-from gavatar_runtime.motion import Motion
 from tqdm import tqdm
 
 from gavatar.body import BodyData
 from gavatar.capture import CAPTURE_VERSION
 from gavatar.files import write_image, write_json, write_motion
+from gavatar_runtime.camera import Camera
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.motion import Motion
 
 from .draw import body_mask, contact_sheet, iou, overlay
 from .source import Source

@@ -7,8 +7,9 @@ import dataclasses
 import cv2
 import numpy as np
 import torch
-from gavatar_runtime.camera import Camera
 from torch import Tensor
+
+from gavatar_runtime.camera import Camera
 
 from ..capture import Capture, View
 

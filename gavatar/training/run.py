@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from gavatar_runtime.errors import UserError
 from omegaconf import DictConfig, OmegaConf
+
+from gavatar_runtime.errors import UserError
 
 from ..build import AvatarBuild, build_avatar, open_capture
 from ..capture import Capture

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from gavatar_runtime.errors import UserError
-from gavatar_runtime.surface import positional_map
 from torch import Tensor
 from tqdm import tqdm
+
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.surface import positional_map
 
 from ..build import AvatarBuild, build_avatar, build_rasterizer, choose_device, open_capture
 from ..capture import View
