@@ -6,6 +6,7 @@ Every rasterizer is held against this file, so it shares nothing with them but t
 from __future__ import annotations
 
 import numpy as np
+
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.gaussians import Gaussians, Rendering
 from gavatar_runtime.rasterizers.rules import ALPHA_MAX, ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS, NEAR, TRANSMITTANCE_STOP

@@ -7,6 +7,7 @@ import functools
 from pathlib import Path
 
 import numpy as np
+
 from gavatar_runtime.camera import Camera, look_at
 from gavatar_runtime.gaussians import Gaussians
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from gavatar_runtime.kinematics import invert_rigid, joint_transforms, skin
-from gavatar_runtime.motion import Motion
 
 import gavatar.body
 from gavatar.body import Skeleton
@@ -14,6 +12,8 @@ from gavatar.registry import BODIES, load_plugins
 from gavatar.rotations import matrix_from_axis_angle
 from gavatar.skinning import dense_weights
 from gavatar.skinning import skin as torch_skin
+from gavatar_runtime.kinematics import invert_rigid, joint_transforms, skin
+from gavatar_runtime.motion import Motion
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import zipfile
 
 import numpy as np
 import pytest
+
 from gavatar_runtime.avatar import Avatar
 from gavatar_runtime.bundle import FORMAT_VERSION, Manifest, pack_arrays, read_bundle, write_bundle
 from gavatar_runtime.errors import UserError

@@ -6,6 +6,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from make_bundle import free_body
+
 from gavatar_runtime import plugins
 from gavatar_runtime.body import SMPL_BODY_JOINTS
 from gavatar_runtime.errors import UserError
@@ -14,9 +18,6 @@ from gavatar_runtime.motion import Motion
 from gavatar_runtime.motions import MOTIONS, read_motion
 from gavatar_runtime.rotations import matrix_from_axis_angle
 from gavatar_runtime.skeletons import BODY, SMPL, SMPLH, SMPLX, fit_motion
-from hypothesis import given
-from hypothesis import strategies as st
-from make_bundle import free_body
 
 
 def amass(path, **changes):

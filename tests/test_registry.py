@@ -10,12 +10,12 @@ import warnings
 from pathlib import Path
 
 import pytest
-from gavatar_runtime.errors import UserError, exit_cleanly
-from gavatar_runtime.registry import Registry
 
 from gavatar import registry as registries
 from gavatar.cli import list as listing
 from gavatar.extras import EXTRAS, extra_of, import_from_extra, requires_extra
+from gavatar_runtime.errors import UserError, exit_cleanly
+from gavatar_runtime.registry import Registry
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
-import gavatar_runtime.rotations as np_rot
 import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+import gavatar_runtime.rotations as np_rot
 from gavatar.rotations import matrix_from_axis_angle
 
 AXES = np.array([[1, 0, 0], [0, -1, 0], [0, 0, 1], [0.6, 0.0, -0.8], [0.57735, 0.57735, 0.57735]])
-ANGLES = [0.0, 1e-30, 1e-12, 1e-8, 1e-5, 0.0099, 0.0101, 0.5, 3.0, np.pi - 1e-9, np.pi, np.pi + 1e-9, 4.0, 2 * np.pi, 7.0]
+ANGLES = [
+    0.0,
+    1e-30,
+    1e-12,
+    1e-8,
+    1e-5,
+    0.0099,
+    0.0101,
+    0.5,
+    3.0,
+    np.pi - 1e-9,
+    np.pi,
+    np.pi + 1e-9,
+    4.0,
+    2 * np.pi,
+    7.0,
+]
 
 
 def samples(dtype=np.float64) -> np.ndarray:

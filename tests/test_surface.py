@@ -7,13 +7,13 @@ import functools
 
 import numpy as np
 import pytest
-from gavatar_runtime.body import BodyData
-from gavatar_runtime.errors import UserError
-from gavatar_runtime.surface import Surface, load_surface, positional_map, save_surface
 
 from gavatar import surface as surface_module
 from gavatar.surface import default_cache_dir, sample_surface
 from gavatar_plugins.bodies.free import load_free_body
+from gavatar_runtime.body import BodyData
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.surface import Surface, load_surface, positional_map, save_surface
 
 # float32 holds a coordinate of 2 m to 1.2e-7; a few roundings of such coordinates are summed
 FLOAT32_METRES = 2e-6

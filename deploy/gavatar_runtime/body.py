@@ -77,6 +77,6 @@ class BodyData:
 def check_motion_fits(poses: np.ndarray, num_joints: int) -> np.ndarray:
     """Poses (T, Jm, 3) brought to a body of `num_joints`: missing joints (hands) are filled with zero, surplus cut."""
     T, J = poses.shape[:2]
-    if J >= num_joints:
+    if num_joints <= J:
         return poses[:, :num_joints]
     return np.concatenate([poses, np.zeros((T, num_joints - J, 3), poses.dtype)], 1)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib
+import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter
 from typing import Any
@@ -15,6 +17,7 @@ from .camera import Camera
 from .errors import UserError
 from .motion import Motion
 from .plugins import load_entry_points
+from .registry import Registry
 from .writers import Writer, to_bytes
 
 WARM_UP = 3  # frames left out of the medians where there are more: first use of buffers and networks
@@ -71,7 +74,8 @@ def play(
     """Write a motion's frames and return what each stage of each took.
 
     motion: fitted to the avatar. cameras: one for all frames, or one a frame. rasterizer: an object with
-    `render(gaussians, camera, background) -> Rendering` and, after it, `stage_seconds`. background: sRGB in [0, 1].
+    `render(gaussians, camera, background) -> Rendering` and, after it, `stage_seconds`; if it has `render_uint8`, which
+    returns (H, W, 3) bytes, that is used. background: sRGB in [0, 1].
     progress: called as `progress(done, total)` after each frame. If anything fails, the writer leaves nothing behind.
     """
     cameras = [cameras] * len(motion) if isinstance(cameras, Camera) else cameras
@@ -80,12 +84,13 @@ def play(
     background = np.asarray(background, np.float32)
     timings = Timings()
     wanted = writer.choose(len(motion))
+    render = getattr(rasterizer, "render_uint8", None) or (lambda *scene: to_bytes(rasterizer.render(*scene).color))
     try:
         for done, frame in enumerate(wanted, 1):
             gaussians = avatar.gaussians(motion.poses[frame], motion.trans[frame])
-            rendering = rasterizer.render(gaussians, cameras[frame], background)
+            image = render(gaussians, cameras[frame], background)
             start = perf_counter()
-            writer.add(to_bytes(rendering.color))
+            writer.add(image)
             write = perf_counter() - start
             timings.add({**avatar.stage_seconds, **rasterizer.stage_seconds, WRITE: write})
             if progress is not None:
@@ -101,16 +106,24 @@ def build_rasterizer(name: str = "auto", options: Mapping[str, Any] | None = Non
 
     threads: passed on to a rasterizer that has such an option. Raises UserError for an unknown name or option.
     """
-    from .rasterizers import PLAYER_RASTERIZERS
-
+    registry = player_rasterizers()
     if name == "auto":
         for candidate in AUTO:
-            if candidate in PLAYER_RASTERIZERS:
+            if candidate in registry:
                 with contextlib.suppress(UserError):
                     return build_rasterizer(candidate, options, threads=threads)
         return build_rasterizer(AUTO[-1], options, threads=threads)  # for its error
-    if name not in PLAYER_RASTERIZERS:
+    if name not in registry:
         load_entry_points()
-    fields = {field.name for field in dataclasses.fields(PLAYER_RASTERIZERS[name].config)}
+    fields = {field.name for field in dataclasses.fields(registry[name].config)}
     given = {"threads": threads} if threads is not None and "threads" in fields else {}
-    return PLAYER_RASTERIZERS.build(name, {**given, **(options or {})})
+    return registry.build(name, {**given, **(options or {})})
+
+
+def player_rasterizers() -> Registry:
+    """The registry of the player's rasterizers, filled by the modules of `gavatar_runtime.rasterizers`."""
+    from . import rasterizers
+
+    for module in pkgutil.iter_modules(rasterizers.__path__):
+        importlib.import_module(f"{rasterizers.__name__}.{module.name}")
+    return rasterizers.PLAYER_RASTERIZERS

@@ -32,7 +32,7 @@ class Writer(Protocol):
         """Which of `count` frames it wants, ascending."""
 
     def add(self, image: np.ndarray) -> None:
-        """Take the next wanted frame: (H, W, 3) uint8 RGB."""
+        """Take the next wanted frame: (H, W, 3) uint8 RGB, whose buffer the caller may use again."""
 
     def close(self) -> None:
         """Finish the output and put it in place. UserError if what was written does not read back."""
@@ -171,7 +171,7 @@ class ContactSheet:
         return [i * count // shown for i in range(shown)]
 
     def add(self, image: np.ndarray) -> None:
-        self.images.append(image)
+        self.images.append(image.copy())  # a rasterizer may draw the next frame into the same buffer
 
     def close(self) -> None:
         if not self.images:

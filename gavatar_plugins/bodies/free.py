@@ -7,9 +7,9 @@ import functools
 import importlib.resources
 
 import numpy as np
-from gavatar_runtime.body import BodyData
 
 from gavatar.registry import BODIES
+from gavatar_runtime.body import BodyData
 
 BODY_FILE = "gavatar_body_smplh.npz"
 
