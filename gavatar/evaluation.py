@@ -16,9 +16,10 @@ from tqdm import tqdm
 from .avatar import Avatar
 from .build import AvatarBuild, build_rasterizer
 from .capture import Capture, View
+from .files import write_json
 from .image_quality import mean_psnr, psnr, ssim
 from .losses import LossComposer, LossInputs, MotionState
-from .metrics import joint_errors
+from .metrics import joint_errors, perceptual_metric
 from .motion import MotionTable, RowAdam
 from .training.data import footage, load_full
 from .training.run import Run
@@ -232,3 +233,66 @@ def evaluation_plan(capture: Capture, splits: Sequence[str] | None, fit: bool) -
         elif fit:
             plan.append((split, "fitted", views))
     return plan
+
+
+@dataclasses.dataclass
+class Evaluation:
+    """Everything `gavatar-eval` measured. pictures: (target, render) of each row's worst view, in row order.
+    estimated_mpjpe_mm: error of the training frames' poses before training, and its PA form."""
+
+    run: Run
+    rows: list[SplitScore]
+    pictures: list[tuple[np.ndarray, np.ndarray]]
+    perceptual_name: str | None
+    estimated_mpjpe_mm: tuple[float, float] | None = None
+
+    def row(self, split: str, poses: str) -> SplitScore:
+        """The row of a split and a source of poses; KeyError if it was not measured."""
+        for row in self.rows:
+            if (row.split, row.poses) == (split, poses):
+                return row
+        raise KeyError(f"{split} with {poses} poses")
+
+    def as_json(self) -> dict:
+        before = self.estimated_mpjpe_mm
+        return {
+            "run": str(self.run.directory),
+            "stage": self.run.stage,
+            "gaussians": len(self.run.avatar.surface),
+            "protocol": "whole frames composited on white, mean over views; see `poses` of each row",
+            "pose_sources": POSES,
+            "perceptual_network": self.perceptual_name,
+            "train_mpjpe_before_mm": None if before is None else round(before[0], 2),
+            "train_pa_mpjpe_before_mm": None if before is None else round(before[1], 2),
+            "rows": [row.as_json() for row in self.rows],
+        }
+
+    def write(self, path) -> None:
+        """Write `as_json` to `path`."""
+        write_json(path, self.as_json())
+
+
+def evaluate(
+    run: Run,
+    splits: Sequence[str] | None = None,
+    fit_steps: int = 60,
+    perceptual: bool = True,
+    progress: bool = True,
+) -> Evaluation:
+    """Score every split of the run's capture (or the named ones). fit_steps 0 leaves out rows with fitted poses."""
+    metric, name = perceptual_metric() if perceptual else (None, None)
+    evaluator = Evaluator(run, metric, progress)
+    capture = run.capture
+    sources = {"refined": run.motion.motion(), "estimated": capture.motion, "true": capture.truth}
+    rows, pictures = [], []
+    for split, poses, views in evaluation_plan(capture, splits, fit_steps > 0):
+        motion = evaluator.fit(views, fit_steps) if poses == "fitted" else sources[poses]
+        rows.append(evaluator.score(split, poses, views, motion))
+        worst = rows[-1].worst.view
+        color, alpha = capture.load(worst)
+        pictures.append((color + (1 - alpha[..., None]), evaluator.render(worst, motion)))
+    result = Evaluation(run, rows, pictures, name)
+    if capture.truth is not None:
+        frames = sorted({view.frame for view in capture.views("train")})
+        result.estimated_mpjpe_mm = motion_errors(run.built, capture.motion, capture.truth, frames)
+    return result

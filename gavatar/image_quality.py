@@ -49,9 +49,11 @@ def ssim(image: Tensor, reference: Tensor) -> Tensor:
 @functools.lru_cache(maxsize=16)
 def _gaussian(size: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """(size,) samples of a Gaussian of sigma 1.5 about the middle, summing to one."""
-    x = torch.arange(size, dtype=torch.float64) - (size - 1) / 2
-    kernel = torch.exp(-x * x / (2 * SSIM_SIGMA**2))
-    return (kernel / kernel.sum()).to(device, dtype)
+    # cached beyond the caller's mode: tensors made under inference_mode could never be trained through
+    with torch.inference_mode(False):
+        x = torch.arange(size, dtype=torch.float64) - (size - 1) / 2
+        kernel = torch.exp(-x * x / (2 * SSIM_SIGMA**2))
+        return (kernel / kernel.sum()).to(device, dtype)
 
 
 class _GaussianFilter(torch.autograd.Function):

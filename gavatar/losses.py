@@ -145,3 +145,14 @@ def check_choice(field: str, value: str, choices: tuple[str, ...]) -> None:
     """UserError naming `field` and the choices unless `value` is one of them."""
     if value not in choices:
         raise UserError(f"{field}: must be one of {', '.join(choices)}, not {value!r}")
+
+
+def check_size(field: str, value: int) -> None:
+    """UserError naming `field` unless `value` is a whole number of pixels, or 0."""
+    if not (isinstance(value, int) and not isinstance(value, bool) and value >= 0):
+        raise UserError(f"{field}: must be a whole number of pixels, or 0 for no limit, not {value!r}")
+
+
+def step_seed(progress: float) -> int:
+    """A seed for a loss that draws at random: a function of the step alone, so that a resumed run draws the same."""
+    return round(progress * 2**40)

@@ -13,9 +13,8 @@ from typing import Any
 from .errors import UserError
 
 
-@contextlib.contextmanager
-def atomic(path: str | os.PathLike) -> Iterator[Path]:
-    """A temporary path beside `path`, with its suffix, renamed over it when the block succeeds and removed when not.
+def temporary_beside(path: str | os.PathLike) -> Path:
+    """An empty temporary file in the folder of `path`, made if need be, with the suffix of `path`.
 
     Raises UserError when the place cannot be written to.
     """
@@ -28,13 +27,27 @@ def atomic(path: str | os.PathLike) -> Iterator[Path]:
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror or error}") from error
     os.close(handle)
-    temporary = Path(name)
+    return Path(name)
+
+
+def put_in_place(temporary: Path, path: str | os.PathLike) -> None:
+    """Rename a file of `temporary_beside` over `path`, readable like any other new file."""
+    umask = os.umask(0)
+    os.umask(umask)
+    os.chmod(temporary, 0o666 & ~umask)  # mkstemp makes files that only their owner reads
+    os.replace(temporary, path)
+
+
+@contextlib.contextmanager
+def atomic(path: str | os.PathLike) -> Iterator[Path]:
+    """A temporary path beside `path`, with its suffix, renamed over it when the block succeeds and removed when not.
+
+    Raises UserError when the place cannot be written to.
+    """
+    temporary = temporary_beside(path)
     try:
         yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)  # mkstemp makes files that only their owner reads
-        os.replace(temporary, path)
+        put_in_place(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 

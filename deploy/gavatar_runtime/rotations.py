@@ -20,8 +20,9 @@ def axis_angle_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     q = np.where(q[..., :1] < 0, -q, q)
     norm = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(norm, q[..., :1])
-    tiny = norm < 1e-20 if q.dtype == np.float64 else norm < 1e-12
-    factor = np.where(tiny, 2.0 / np.where(tiny, np.maximum(q[..., :1], 0.5), 1), angle / np.where(tiny, 1, norm))
+    # below, the angle is 2 norm / w to the last digit, and the division is 0/0 at zero
+    tiny = norm < 4 * np.finfo(q.dtype).tiny ** 0.5
+    factor = np.where(tiny, 2 / np.where(tiny, q[..., :1], 1), angle / np.where(tiny, 1, norm))
     return (q[..., 1:] * factor).astype(q.dtype, copy=False)
 
 

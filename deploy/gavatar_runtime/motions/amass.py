@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,8 @@ class AmassFile:
     def __init__(self, config: AmassOptions, *, path: Path):
         if config.up not in ("auto", "y", "z"):
             raise UserError(f"motion option up={config.up}: choose from auto, y, z")
+        if not isinstance(config.fps, (int, float)):
+            raise UserError(f"motion option fps={config.fps}: give a number of frames per second, 0 for the file's own")
         self.config = config
         self.path = path
 
@@ -114,23 +117,20 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     motion needs: AMASS files carry object arrays among their extras."""
     needed = {"poses", "trans", "betas", *FRAME_RATE_KEYS}
     try:
-        with np.load(path, allow_pickle=False) as file:
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                raise UserError(f"{path} is a single array (.npy), not an .npz of named arrays")
-            found = {}
-            for key in file.files:
-                if key not in needed:
-                    found[key] = np.zeros(0)
-                    continue
-                try:
-                    found[key] = file[key]
-                except ValueError as error:
-                    raise UserError(
-                        f"{path}: {key} is not a plain array of numbers; pickled objects are not read"
-                    ) from error
-            return found
-    except (zipfile.BadZipFile, ValueError, EOFError, OSError) as error:
+        file = np.load(path, allow_pickle=False)
+        if not isinstance(file, np.lib.npyio.NpzFile):
+            raise UserError(f"{path} is a single array (.npy), not an .npz of named arrays")
+        with file:
+            return {key: _read_array(file, key, path) if key in needed else np.zeros(0) for key in file.files}
+    except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError) as error:
         raise UserError(f"{path} is empty, damaged or not an .npz file") from error
+
+
+def _read_array(file: np.lib.npyio.NpzFile, key: str, path: Path) -> np.ndarray:
+    try:
+        return file[key]
+    except ValueError as error:
+        raise UserError(f"{path}: {key} is not a plain array of numbers; pickled objects are not read") from error
 
 
 def _vertical_axis(poses: np.ndarray) -> str:

@@ -27,6 +27,7 @@ RELAXED_LEFT = {
     "left_knee": (0, 0, 4),
 }
 FINGER_CURL = {"index": 14, "middle": 18, "ring": 21, "pinky": 22}  # degrees a phalanx, about z
+MAX_FRAMES = 1_000_000
 
 
 @dataclasses.dataclass
@@ -70,13 +71,13 @@ class Wave:
     suffixes = ()
 
     def __init__(self, config: WaveOptions):
-        if config.waves != int(config.waves) or config.waves < 0:
+        if not isinstance(config.waves, int) or config.waves < 0:
             raise UserError(f"motion option waves={config.waves}: give a whole number, zero or more, so that it loops")
         self.config = config
 
     def load(self) -> Motion:
         phase = _phase("wave", self.config.seconds, self.config.fps)
-        swing = 2 * np.pi * int(self.config.waves) * phase
+        swing = 2 * np.pi * self.config.waves * phase
         sway = np.sin(2 * np.pi * phase)
         poses = np.repeat(relaxed_pose()[None], len(phase), 0)
         trans = np.zeros((len(phase), 3))
@@ -152,9 +153,11 @@ def _compose(*degrees: np.ndarray) -> np.ndarray:
 def _phase(name: str, seconds: float, fps: float) -> np.ndarray:
     """(T,) in [0, 1): the loop's phase at each frame, at least one frame."""
     for key, value in (("seconds", seconds), ("fps", fps)):
-        if not (np.isfinite(value) and value > 0):
+        if not (isinstance(value, (int, float)) and 0 < value < np.inf):
             raise UserError(f"motion '{name}': {key}={value} must be a positive number")
     frames = max(1, round(seconds * fps))
+    if frames > MAX_FRAMES:
+        raise UserError(f"motion '{name}': {seconds:g} s at {fps:g} frames per second is more than {MAX_FRAMES} frames")
     return np.arange(frames) / frames
 
 

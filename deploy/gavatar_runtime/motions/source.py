@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any, Protocol
 
 from ..errors import UserError, did_you_mean
 from ..motion import Motion
+from ..plugins import load_entry_points
 from ..registry import Component, Registry
-
-PLUGIN_GROUP = "gavatar.plugins"
 
 
 class MotionSource(Protocol):
@@ -34,7 +32,7 @@ def read_motion(source: str | Path, **options: Any) -> Motion:
     """
     component = _find(source)
     if component is None:
-        _load_plugins()
+        load_entry_points()
         component = _find(source)
     if component is None:
         raise UserError(_unknown(str(source)))
@@ -62,13 +60,3 @@ def _unknown(source: str) -> str:
     suffixes = sorted({s for c in MOTIONS for s in _suffixes(c)})
     hint = did_you_mean(source, names)
     return f"unknown motion '{source}': give a file ({', '.join(suffixes)}) or a built-in name, {hint}"
-
-
-def _load_plugins() -> None:
-    import importlib.metadata
-
-    for point in importlib.metadata.entry_points(group=PLUGIN_GROUP):
-        try:
-            point.load()
-        except Exception as error:  # a broken plugin must not hide the others
-            warnings.warn(f"plugin {point.name} was skipped: {type(error).__name__}: {error}", stacklevel=3)

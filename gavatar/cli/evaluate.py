@@ -1,0 +1,68 @@
+"""`gavatar-eval RUN`: image and joint errors per split, as a table, JSON and a figure."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from gavatar_runtime.errors import UserError, exit_cleanly
+
+from ..extras import requires_extra
+
+DESCRIPTION = "Evaluate a trained run: PSNR, SSIM, perceptual distance and joint errors per split."
+EPILOG = """examples
+  gavatar-eval runs/anna
+  gavatar-eval runs/anna --splits novel_pose --no-fit
+  gavatar-eval runs/anna --stage 1 --out eval_static
+
+Images are compared whole, composited on white, at the capture's size. The column `poses` says which poses were
+rendered: `refined` by training, `true` from the capture's ground truth, `estimated` as given in body.npz, `fitted` to
+the very images they are scored on (avatar frozen): never compare fitted rows with rows that are not.
+Writes evaluation.json and evaluation.png.
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        "gavatar-eval", description=DESCRIPTION, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("run", metavar="RUN", help="run directory that gavatar-train wrote")
+    parser.add_argument("--stage", type=int, choices=(1, 2), help="avatar of this stage (default: the last trained)")
+    parser.add_argument("--splits", nargs="+", metavar="SPLIT", help="splits to score (default: all of the capture)")
+    parser.add_argument("--capture", metavar="DIR", help="where the capture is now, if it has moved")
+    parser.add_argument("--no-fit", action="store_true", help="skip the rows with fitted poses, which take longest")
+    parser.add_argument("--fit-steps", type=int, default=60, metavar="N", help="steps of pose fitting (default: 60)")
+    parser.add_argument("--no-perceptual", action="store_true", help="leave the perceptual distance out")
+    parser.add_argument("--rasterizer", metavar="NAME", help="rasterizer to draw with (default: the run's)")
+    parser.add_argument("--out", metavar="DIR", help="where to write evaluation.json and .png (default: the run)")
+    return parser
+
+
+@exit_cleanly
+@requires_extra("train")
+def main(argv: list[str] | None = None) -> int:
+    """Console entry point."""
+    arguments = parser().parse_args(argv)
+    from ..config import register_configs
+    from ..evaluation import evaluate
+    from ..reporting import evaluation_figure, table
+    from ..training.run import open_run
+
+    if arguments.fit_steps < 1:
+        raise UserError("--fit-steps must be at least 1; leave fitting out with --no-fit")
+    register_configs()
+    run = open_run(arguments.run, arguments.stage, arguments.capture)
+    if arguments.rasterizer:
+        run.config.rasterizer = {"name": arguments.rasterizer}
+    out = Path(arguments.out or arguments.run)
+    result = evaluate(
+        run,
+        splits=arguments.splits,
+        fit_steps=0 if arguments.no_fit else arguments.fit_steps,
+        perceptual=not arguments.no_perceptual,
+    )
+    print(table(result))
+    result.write(out / "evaluation.json")
+    evaluation_figure(result, out / "evaluation.png")
+    print(f"\nwrote {out / 'evaluation.json'} and {out / 'evaluation.png'}")
+    return 0

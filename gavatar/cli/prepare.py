@@ -1,0 +1,119 @@
+"""`gavatar-prepare SOURCE -o CAPTURE`: footage with landmarks and masks -> a capture with a fitted body."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from gavatar_runtime.errors import UserError, exit_cleanly
+
+from ..extras import requires_extra
+
+DESCRIPTION = "Fit the body to footage with landmarks and masks and write a capture that gavatar-train reads."
+EPILOG = """SOURCE is one of
+  frames/*.png (or one video)  masks/NAME.png  landmarks.npz            one camera that need not be known
+  videos/CAM.mp4  masks/CAM/NAME.png  landmarks_CAM.npz  cameras.json   several calibrated cameras
+  a video, with --landmarks and --masks
+
+landmarks.npz holds MediaPipe's 33 points: image (T, 33, 4) x, y in pixels, z, visibility; world (T, 33, 4) in metres;
+fps. Points that were not seen have visibility 0. Finding masks and landmarks in raw video comes later.
+
+examples
+  gavatar-prepare footage/anna -o captures/anna --license "my own"
+  gavatar-prepare lab -o captures/lab --size 960 --frames 0:100:2 --holdout-camera cam04
+
+Look at CAPTURE/preview.png and preview.mp4 before training: the body's left half is blue, its right half orange, the
+mask's outline green.
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        "gavatar-prepare", description=DESCRIPTION, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("source", metavar="SOURCE", type=Path, help="folder of footage, or a video")
+    parser.add_argument("-o", "--out", metavar="CAPTURE", type=Path, required=True, help="folder to write")
+    parser.add_argument("--landmarks", metavar="FILE", type=Path, help="landmarks .npz (several cameras: their folder)")
+    parser.add_argument("--masks", metavar="DIR", type=Path, help="folder of masks (default: SOURCE/masks)")
+    parser.add_argument(
+        "--cameras", metavar="FILE", type=Path, help="calibrated cameras (default: SOURCE/cameras.json)"
+    )
+    parser.add_argument("--fps", type=float, help="frame rate of the footage (default: what it says)")
+    parser.add_argument(
+        "--frames", metavar="A:B:STEP", default="::", help="frames to take, as in Python (default: all)"
+    )
+    parser.add_argument("--size", type=int, metavar="N", help="make the images' longer side N pixels")
+    parser.add_argument("--holdout-camera", metavar="CAM", help="keep this camera for testing novel views")
+    parser.add_argument("--fov", type=float, metavar="DEG", help="field of view of an unknown camera over the longer "
+                        "side, degrees (default: 40)")  # fmt: skip
+    parser.add_argument("--height", type=float, metavar="M", help="the person's height in metres, if known")
+    parser.add_argument("--body", default="free", help="body to fit (default: free)")
+    parser.add_argument("--name", help="name of the capture (default: the folder's)")
+    parser.add_argument("--license", default="unknown", help="licence of the footage (default: unknown)")
+    parser.add_argument("--preview", action=argparse.BooleanOptionalAction, default=True,
+                        help="write preview.png and preview.mp4 of the body over the footage")  # fmt: skip
+    parser.add_argument("--overwrite", action="store_true", help="replace CAPTURE if it exists")
+    parser.add_argument("--quiet", action="store_true", help="no progress bars")
+    return parser
+
+
+def _slice(text: str) -> slice:
+    try:
+        parts = [int(part) if part else None for part in text.split(":")]
+        if len(parts) not in (2, 3) or (len(parts) == 3 and parts[2] is not None and parts[2] < 1):
+            raise ValueError
+    except ValueError:
+        raise UserError(f"--frames {text}: give A:B or A:B:STEP with a step of at least 1, such as 0:100:2") from None
+    return slice(*parts)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    ranges = {"fps": (0, 10000), "size": (16, 16384), "fov": (1, 170), "height": (0.5, 2.6)}
+    for name, (low, high) in ranges.items():
+        value = getattr(arguments, name)
+        if value is not None and not (low < value <= high):
+            raise UserError(f"--{name} {value:g} is out of range: give more than {low} and at most {high}")
+
+
+@exit_cleanly
+@requires_extra("train")
+def main(argv: list[str] | None = None) -> int:
+    """Console entry point."""
+    arguments = parser().parse_args(argv)
+    _check(arguments)
+    from ..prepare import CaptureFacts, FitOptions, SourceOptions, open_source, prepare
+    from ..registry import BODIES, load_plugins
+
+    frames = _slice(arguments.frames)
+    if arguments.out.exists() and not arguments.overwrite:
+        raise UserError(f"{arguments.out} exists: choose another --out or replace it with --overwrite")
+    places = {key: getattr(arguments, key) for key in ("landmarks", "masks", "cameras", "fps", "size")}
+    source = open_source(arguments.source, SourceOptions(frames=frames, **places))
+    print(f"found {source.description}")
+    if arguments.fov is not None and source.footage[0].lens is not None:
+        raise UserError("--fov is for an unknown camera, but cameras.json calibrates it: leave one of them out")
+    load_plugins()
+    out = arguments.out
+    name = arguments.name or out.resolve().name
+    facts = CaptureFacts(
+        name=name, license=arguments.license, source=f"gavatar-prepare {arguments.source.name}",
+        body_model=arguments.body, holdout_camera=arguments.holdout_camera,
+    )  # fmt: skip
+    quality = prepare(
+        source,
+        BODIES.build(arguments.body).data,
+        out,
+        facts,
+        **({} if arguments.fov is None else {"fov": arguments.fov}),
+        options=FitOptions(stature=arguments.height),
+        overwrite=arguments.overwrite,
+        preview=arguments.preview,
+        progress=not arguments.quiet,
+    )
+    print(f"fit: {quality.sentence()}")
+    print(f"wrote {out}" + (f"; look at {out / 'preview.png'}" if arguments.preview else ""))
+    return 0
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,254 @@
+"""Fitting the body to landmarks and masks: one shape, a pose and a place in every frame.
+
+Everything is in metres: an image residual counts as pixels x depth / focal length, so that weights mean the same for
+any image size, and accelerations are physical, so that they mean the same at any frame rate.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import torch
+from gavatar_runtime.camera import Camera
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.rotations import axis_angle_from_matrix
+from torch import Tensor
+from tqdm import tqdm
+
+from gavatar.body import SMPL_BODY_JOINTS, BodyData
+from gavatar.rotations import matrix_from_axis_angle
+
+from .anatomy import joint_ranges
+from .initial import Observations, facing, observe, place
+from .landmarks import BONES, MIRROR, OFFSET_SIGMA, Landmarks
+from .rig import FitRig, Posed
+from .silhouette import Silhouettes, outline_gap, outside_distance
+
+
+@dataclasses.dataclass(frozen=True)
+class FitOptions:
+    """Weights and steps of the fit. Sigmas are the deviations that cost the same as one unit elsewhere.
+
+    steps: optimisation steps of the three stages (place, pose, silhouette). stature: the person's height in metres or
+    None when unknown; with one uncalibrated camera size and distance cannot be told apart, so the prior decides.
+    """
+
+    steps: tuple[int, int, int] = (80, 200, 300)
+    stature: float | None = None
+    surface_points: int = 1500
+    image_sigma: float = 0.02  # metres
+    bone_sigma: float = 0.35  # radians; depth from one view is rough
+    inside_sigma: float = 0.015  # metres
+    reach_sigma: float = 0.025  # metres; loose: clothes and hair are not body
+    trans_acceleration: float = 8.0  # metres / s^2
+    angular_acceleration: float = 120.0  # radians / s^2
+    weights: dict = dataclasses.field(
+        default_factory=lambda: {
+            "image": 1.0, "bones": 0.5, "inside": 1.0, "reach": 3.0, "pose": 0.05, "betas": 0.005, "offset": 0.02,
+            "smooth": 0.1, "stature": 1.0,
+        }
+    )  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """A fitted body.
+
+    poses: (T, J, 3) axis-angle in [0, pi], fingers zero. trans: (T, 3) metres. betas: (B,). image_error: (C, T, 33)
+    pixels between landmarks and their points on the body, NaN where not seen. losses: last value of each term.
+    """
+
+    poses: np.ndarray
+    trans: np.ndarray
+    betas: np.ndarray
+    image_error: np.ndarray
+    losses: dict[str, float]
+
+
+def robust(residual: Tensor, sigma: float) -> Tensor:
+    """Geman-McClure with a wide core: quadratic up to about 2 sigma, at most 9 for any outlier."""
+    square = (residual / sigma) ** 2
+    return square / (1 + square / 9)
+
+
+def huber(residual: Tensor, sigma: float) -> Tensor:
+    """Pseudo-Huber: quadratic inside sigma, linear beyond, so that far points still pull."""
+    return 2 * (torch.sqrt(1 + (residual / sigma) ** 2) - 1)
+
+
+class BodyFitter:
+    """Holds the unknowns and the observations of one fit; `run` returns the result.
+
+    data: the body. cameras, landmarks: one per camera, same T. silhouettes: one per camera, or None
+    to fit without masks. fps: frames per second. Raises UserError when no frame shows enough of the person.
+    """
+
+    def __init__(
+        self,
+        data: BodyData,
+        cameras: list[Camera],
+        landmarks: list[Landmarks],
+        silhouettes: list[Silhouettes] | None,
+        fps: float,
+        options: FitOptions | None = None,
+    ):
+        self.data, self.cameras, self.fps = data, cameras, fps
+        self.options = options or FitOptions()
+        self.rig = FitRig(data, self.options.surface_points)
+        seen = observe(cameras, landmarks, fps)
+        rest = self.rig.landmarks0.numpy().astype(np.float64)
+        root = facing(cameras, seen, rest, fps)
+        trans = place(cameras, seen, np.einsum("tab,kb->tka", root, rest))
+        self.frames = len(root)
+        ranges = joint_ranges(tuple(data.joint_names))
+        self.low, self.high, self.mean, self.sigma = (_tensor(v[1:SMPL_BODY_JOINTS]) for v in ranges)
+        self._unknowns(root, trans)
+        self._observations(seen)
+        self.silhouettes = silhouettes
+
+    def _unknowns(self, root: np.ndarray, trans: np.ndarray) -> None:
+        self.root0 = _tensor(root)
+        self.turn = torch.zeros(self.frames, 3, requires_grad=True)
+        self.poses = self.mean.expand(self.frames, -1, -1).clone().requires_grad_()
+        self.trans = _tensor(trans).requires_grad_()
+        self.betas = torch.zeros(self.rig.num_betas, requires_grad=True)
+        self.offsets = torch.zeros(33, 3, requires_grad=True)
+        self.offset_sigma = _tensor(OFFSET_SIGMA)[:, None]
+
+    def _observations(self, seen: Observations) -> None:
+        self.image, self.visibility = _tensor(seen.image), _tensor(seen.visibility) ** 2
+        a, b = np.array(BONES).T
+        bones = seen.world[..., b, :] - seen.world[..., a, :]
+        length = np.linalg.norm(bones, axis=-1, keepdims=True)
+        weight = np.minimum(seen.visibility[..., a], seen.visibility[..., b]) * seen.world_weight[..., None]
+        self.bones = _tensor(bones / np.maximum(length, 1e-6))
+        self.bone_weight = _tensor(weight * (length[..., 0] > 0.01))
+        self.K = [_tensor([c.fx, c.fy, c.cx, c.cy]) for c in self.cameras]
+        self.R = [_tensor(c.T_camera_world[:3, :3]) for c in self.cameras]
+        self.t = [_tensor(c.T_camera_world[:3, 3]) for c in self.cameras]
+
+    def mirrored_offsets(self) -> Tensor:
+        """(33, 3) landmark offsets, the same on both sides of the body."""
+        flip = torch.tensor([-1.0, 1.0, 1.0])
+        return 0.5 * (self.offsets + self.offsets[MIRROR] * flip)
+
+    def posed(self, surface: bool) -> Posed:
+        root = matrix_from_axis_angle(self.turn) @ self.root0
+        return self.rig(self.betas, root, self.poses, self.trans, self.mirrored_offsets(), surface)
+
+    def project(self, camera: int, points: Tensor) -> tuple[Tensor, Tensor]:
+        """(..., 3) world -> (..., 2) pixels and (...) depth, kept in front of the camera (at least 0.1 m)."""
+        local = points @ self.R[camera].T + self.t[camera]
+        depth = local[..., 2].clamp_min(0.1)
+        K = self.K[camera]
+        return local[..., :2] / depth[..., None] * K[:2] + K[2:], depth
+
+    def losses(self, stage: int) -> dict[str, Tensor]:
+        """Every term of the objective, unweighted, for stage 0 (place), 1 (pose) or 2 (silhouette)."""
+        options = self.options
+        masks = self.silhouettes if stage == 2 else None
+        body = self.posed(surface=masks is not None)
+        image = bones = inside = reach = torch.zeros(())
+        measure = robust if stage == 2 else huber
+        for c in range(len(self.cameras)):
+            pixels, depth = self.project(c, body.landmarks)
+            metres = (depth.detach() / self.K[c][0])[..., None]
+            distance = ((pixels - self.image[c]) * metres).square().sum(-1).add(1e-12).sqrt()
+            image = image + _mean(measure(distance, options.image_sigma), self.visibility[c])
+            if masks is not None:
+                more_inside, more_reach = self._silhouette_terms(c, body.surface)
+                inside, reach = inside + more_inside, reach + more_reach
+        a, b = np.array(BONES).T
+        direction = torch.nn.functional.normalize(body.landmarks[:, b] - body.landmarks[:, a], dim=-1)
+        bend = (2 - 2 * (direction * self.bones).sum(-1)).clamp_min(0)
+        bones = _mean(huber((bend + 1e-12).sqrt(), options.bone_sigma), self.bone_weight)
+        prior = ((self.poses - self.mean) / self.sigma).square().sum((1, 2)).mean()
+        terms = {
+            "image": image, "bones": bones, "inside": inside, "reach": reach, "pose": prior,
+            "betas": self.betas.square().sum(), "offset": (self.mirrored_offsets() / self.offset_sigma).square().sum(),
+            "smooth": self._smoothness(body),
+        }  # fmt: skip
+        if options.stature is not None:
+            terms["stature"] = ((self.rig.stature(self.betas) - options.stature) / 0.01) ** 2
+        return terms
+
+    def _silhouette_terms(self, c: int, surface: Tensor) -> tuple[Tensor, Tensor]:
+        silhouettes, options = self.silhouettes[c], self.options
+        frames = torch.arange(self.frames)
+        pixels, depth = self.project(c, surface)
+        metres = depth.detach().mean(1, keepdim=True) / self.K[c][0]
+        # vertices are all counted: a whole limb outside costs more than a finger
+        inside = huber(outside_distance(silhouettes, frames, pixels) * metres, options.inside_sigma).mean() * 4
+        gap, valid = outline_gap(silhouettes, frames, pixels)
+        return inside, _mean(robust(gap * metres, options.reach_sigma), valid)
+
+    def _smoothness(self, body: Posed) -> Tensor:
+        if self.frames < 3:
+            return torch.zeros(())
+        options, fps = self.options, self.fps
+        place = (self.trans[2:] - 2 * self.trans[1:-1] + self.trans[:-2]) * fps**2 / options.trans_acceleration
+        step = body.rotations[:-1].transpose(-1, -2) @ body.rotations[1:]  # constant while a joint turns steadily
+        spin = (step[1:] - step[:-1]) * (fps**2 / options.angular_acceleration / 2**0.5)
+        return (
+            huber(place.square().sum(-1).add(1e-12).sqrt(), 1.0).mean()
+            + huber(spin.square().sum((-1, -2)).add(1e-12).sqrt(), 1.0).sum(-1).mean()
+        )
+
+    def run(self, progress: bool = True) -> Fit:
+        """Optimise in three stages and return the result."""
+        stages = (
+            ("place", [self.turn, self.trans, self.betas]),
+            ("pose", [self.turn, self.trans, self.betas, self.poses, self.offsets]),
+            ("silhouette", [self.turn, self.trans, self.betas, self.poses, self.offsets]),
+        )
+        rates = {id(self.turn): 0.02, id(self.trans): 0.02, id(self.betas): 0.03, id(self.poses): 0.03,
+                 id(self.offsets): 0.002}  # fmt: skip
+        last: dict[str, float] = {}
+        for stage, ((name, unknowns), steps) in enumerate(zip(stages, self.options.steps, strict=True)):
+            if stage == 2 and self.silhouettes is None:
+                continue
+            groups = [{"params": [u], "lr": rates[id(u)]} for u in unknowns]
+            optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99))
+            schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, _warm_cosine(steps))
+            bar = tqdm(range(steps), desc=f"fit {name}", unit="step", disable=not progress, leave=False)
+            for _ in bar:
+                optimizer.zero_grad()
+                terms = self.losses(stage)
+                total = sum(self.options.weights[k] * v for k, v in terms.items())
+                total.backward()
+                optimizer.step()
+                schedule.step()
+                with torch.no_grad():
+                    self.poses.clamp_(self.low, self.high)
+                last = {k: float(v.detach()) for k, v in terms.items()}
+                bar.set_postfix(loss=f"{float(total.detach()):.3f}", image=f"{last['image']:.3f}")
+        if not all(torch.isfinite(u).all() for u in stages[1][1]):
+            raise UserError(
+                "the fit diverged to NaN: the landmarks or cameras contradict each other; check their units"
+            )
+        return self._result(last)
+
+    @torch.no_grad()
+    def _result(self, losses: dict[str, float]) -> Fit:
+        body = self.posed(surface=False)
+        poses = np.zeros((self.frames, self.data.num_joints, 3))
+        poses[:, 0] = axis_angle_from_matrix(body.rotations[:, 0].double().numpy())
+        poses[:, 1:SMPL_BODY_JOINTS] = self.poses.numpy()
+        error = []
+        for c in range(len(self.cameras)):
+            miss = (self.project(c, body.landmarks)[0] - self.image[c]).norm(dim=-1)
+            error.append(torch.where(self.visibility[c] > 0, miss, torch.nan).numpy())
+        return Fit(poses, self.trans.double().numpy(), self.betas.double().numpy(), np.stack(error), losses)
+
+
+def _mean(values: Tensor, weight: Tensor) -> Tensor:
+    return (values * weight).sum() / weight.sum().clamp_min(1e-6)
+
+
+def _warm_cosine(steps: int):
+    return lambda step: min(1.0, (step + 1) / 10) * (0.02 + 0.98 * 0.5 * (1 + np.cos(np.pi * min(step / steps, 1))))
+
+
+def _tensor(array) -> Tensor:
+    return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32)

@@ -1,0 +1,84 @@
+"""From footage with landmarks and masks to a capture: open, fit, write."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from gavatar_runtime.camera import Camera
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.motion import Motion
+
+from gavatar.body import BodyData
+
+from .fit import BodyFitter, Fit, FitOptions
+from .initial import DEFAULT_FOV, guess_camera
+from .silhouette import prepare_silhouettes
+from .source import Source
+from .write import CaptureFacts, write_capture
+
+
+@dataclasses.dataclass(frozen=True)
+class Quality:
+    """How well the body fits. image_error: (C, T, 33) pixels, NaN where not seen. iou: (C, T)."""
+
+    image_error: np.ndarray
+    iou: np.ndarray
+
+    def sentence(self) -> str:
+        """Both in one line, for a user."""
+        seen = self.image_error[np.isfinite(self.image_error)]
+        worst = np.unravel_index(self.iou.argmin(), self.iou.shape)
+        return (
+            f"landmarks off by {np.median(seen):.1f} px (median), {np.percentile(seen, 95):.1f} px (95 %); "
+            f"silhouette IoU {self.iou.mean():.3f} (mean), {self.iou.min():.3f} (worst, frame {worst[1]})"
+        )
+
+
+def prepare(
+    source: Source,
+    data: BodyData,
+    out: Path,
+    facts: CaptureFacts,
+    *,
+    fov: float = DEFAULT_FOV,
+    options: FitOptions | None = None,
+    overwrite: bool = False,
+    preview: bool = True,
+    progress: bool = True,
+) -> Quality:
+    """Fit the body to `source` and write the capture `out`. Raises UserError; nothing is left at `out` then."""
+    names = [footage.name for footage in source.footage]
+    if facts.holdout_camera is not None and (facts.holdout_camera not in names or len(names) < 2):
+        raise UserError(
+            f"--holdout-camera {facts.holdout_camera}: "
+            + (f"the cameras are {', '.join(names)}" if len(names) > 1 else "the only camera cannot be held out")
+        )
+    known = all(footage.lens is not None for footage in source.footage)
+    cameras = [f.camera if known else guess_camera(*f.size, fov) for f in source.footage]
+    silhouettes = [prepare_silhouettes(f.masks(), f.size) for f in source.footage]
+    landmarks = [f.landmarks for f in source.footage]
+    fit = BodyFitter(data, cameras, landmarks, silhouettes, source.fps, options).run(progress)
+    if not known:
+        fit, cameras = settle(data, fit, cameras)
+    motion = Motion(fit.poses, fit.trans, source.fps, fit.betas, facts.name)
+    scores = write_capture(out, source, cameras, data, motion, facts, overwrite, preview, progress)
+    return Quality(fit.image_error, scores)
+
+
+def settle(data: BodyData, fit: Fit, cameras: list[Camera]) -> tuple[Fit, list[Camera]]:
+    """Move the world so that the person stands around its origin on the floor y = 0. Nothing changes in the images."""
+    lowest, middle = [], []
+    for poses, trans in zip(fit.poses, fit.trans, strict=True):
+        vertices, joints = data.posed(poses, fit.betas, trans)
+        lowest.append(vertices[:, 1].min())
+        middle.append(joints[0, [0, 2]])
+    x, z = np.median(middle, 0)
+    shift = -np.array([x, np.median(lowest), z])
+    moved = []
+    for camera in cameras:
+        T = camera.T_camera_world.copy()
+        T[:3, 3] -= T[:3, :3] @ shift
+        moved.append(dataclasses.replace(camera, T_camera_world=T))
+    return dataclasses.replace(fit, trans=fit.trans + shift), moved

@@ -1,0 +1,84 @@
+"""The body reduced to what a fit needs: 22 joints, the 33 landmarks and an even sample of the surface."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gavatar.body import SMPL_BODY_JOINTS, BodyData, joint_transforms
+from gavatar.rotations import matrix_from_axis_angle
+from gavatar.skinning import skin
+
+from .landmarks import fold_hands, landmark_rows
+
+
+@dataclasses.dataclass(frozen=True)
+class Posed:
+    """T posed bodies in the world, metres. rotations: (T, 22, 3, 3) local. joints: (T, 22, 3). landmarks: (T, 33, 3).
+    surface: (T, P, 3) or None where it was not asked for."""
+
+    rotations: Tensor
+    joints: Tensor
+    landmarks: Tensor
+    surface: Tensor | None
+
+
+def spread_vertices(points: np.ndarray, count: int) -> np.ndarray:
+    """Indices of `count` points far from each other (farthest-point sampling from the first point)."""
+    count = min(count, len(points))
+    chosen = np.zeros(count, np.int64)
+    distance = np.full(len(points), np.inf)
+    for k in range(1, count):
+        distance = np.minimum(distance, ((points - points[chosen[k - 1]]) ** 2).sum(-1))
+        chosen[k] = distance.argmax()
+    return chosen
+
+
+class FitRig:
+    """Poses landmarks and surface points of a body as functions of betas, rotations and translation."""
+
+    def __init__(self, data: BodyData, surface_points: int = 1500):
+        self.parents = [int(p) for p in data.parents[:SMPL_BODY_JOINTS]]
+        regressor, weights = landmark_rows(data)
+        chosen = spread_vertices(data.v_template, surface_points)
+        rows = [
+            (data.J_regressor[:SMPL_BODY_JOINTS] @ data.v_template, data.J_regressor[:SMPL_BODY_JOINTS]),
+            (regressor @ data.v_template, regressor),
+        ]
+        dirs = [np.einsum("pv,vcb->pcb", r, data.shapedirs) for _, r in rows]
+        self.joints0, self.landmarks0 = (_tensor(base) for base, _ in rows)
+        self.joint_dirs, self.landmark_dirs = (_tensor(d) for d in dirs)
+        self.surface0, self.surface_dirs = _tensor(data.v_template[chosen]), _tensor(data.shapedirs[chosen])
+        self.landmark_weights = _tensor(fold_hands(weights, data.parents))
+        self.surface_weights = _tensor(fold_hands(data.lbs_weights[chosen], data.parents))
+        top, bottom = data.v_template[:, 1].argmax(), data.v_template[:, 1].argmin()
+        self.stature0 = float(data.v_template[top, 1] - data.v_template[bottom, 1])
+        self.stature_dirs = _tensor(data.shapedirs[top, 1] - data.shapedirs[bottom, 1])
+        self.num_betas = data.num_betas
+
+    def stature(self, betas: Tensor) -> Tensor:
+        """() the rest body's height, metres."""
+        return self.stature0 + self.stature_dirs @ betas
+
+    def __call__(
+        self, betas: Tensor, root: Tensor, poses: Tensor, trans: Tensor, offsets: Tensor, surface: bool
+    ) -> Posed:
+        """betas: (B,). root: (T, 3, 3) global orientation. poses: (T, 21, 3) axis-angle of the other body joints.
+        trans: (T, 3) metres. offsets: (33, 3) metres, added to the landmarks in the rest pose."""
+        rotations = torch.cat([root[:, None], matrix_from_axis_angle(poses)], 1)
+        joints = self.joints0 + self.joint_dirs @ betas
+        R, p = joint_transforms(rotations, joints, self.parents)
+        transforms = torch.cat([R, (p - (R @ joints[..., None])[..., 0])[..., None]], -1)
+        marks = self.landmarks0 + self.landmark_dirs @ betas + offsets
+        shift = trans[:, None]
+        skin_points = None
+        if surface:
+            skin_points = skin(self.surface0 + self.surface_dirs @ betas, self.surface_weights, transforms) + shift
+        return Posed(rotations, p + shift, skin(marks, self.landmark_weights, transforms) + shift, skin_points)
+
+
+def _tensor(array: np.ndarray) -> Tensor:
+    return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32)
