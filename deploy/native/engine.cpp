@@ -391,6 +391,7 @@ void backward(Engine& e, GvFrame& frame, const GvGaussians& gaussians, const GvC
     for (size_t t = 0; t < tiles; t++) {
       const Kept& kept = frame.kept[t];
       for (uint32_t j = 0; j < kept.count; j++) {
+        if (j + 16 < kept.count) __builtin_prefetch(&sums[kept.index[j + 16]], 1);
         int64_t at = (int64_t)kept.index[j] - begin;
         if ((uint64_t)at >= (uint64_t)(end - begin)) continue;
         float* to = &sums[begin + at].v_dx;

@@ -52,7 +52,6 @@ struct TileList {
 // The entries that one thread has made, by tile.
 struct Bins {
   TileList* tiles;
-  uint32_t nearest, farthest;  // not used for order, only for the bench
   int64_t visible, dropped;
   void* owner;
 };
