@@ -90,11 +90,13 @@ class BuildNative(build_ext):
                 file=sys.stderr,
             )
 
-    def copy_extensions_to_source(self) -> None:
-        built = [e for e in self.extensions if Path(self.get_ext_fullpath(e.name)).exists() or not self.inplace]
-        everything, self.extensions = self.extensions, built
+    def copy_extensions_to_source(self) -> None:  # editable installs
+        wanted, self.extensions = self.extensions, [e for e in self.extensions if self._built(e).exists()]
         super().copy_extensions_to_source()
-        self.extensions = everything
+        self.extensions = wanted
+
+    def _built(self, extension) -> Path:
+        return Path(self.build_lib, self.get_ext_filename(self.get_ext_fullname(extension.name)))
 
     def get_outputs(self) -> list[str]:
         return [path for path in super().get_outputs() if Path(path).exists()]
