@@ -1,0 +1,174 @@
+"""The compiled kernel (`deploy/native/`) through ctypes: loading, threads, instruction set. Needs only NumPy.
+
+The package works without it: `library()` raises UserError, `available()` says why, and the other rasterizers serve.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+import sys
+from pathlib import Path
+
+from .errors import UserError
+
+ABI_VERSION = 1
+LIBRARY = Path(__file__).with_name("_gavatar_native" + {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so"))
+
+_P, _F, _D, _I, _L = ctypes.c_void_p, ctypes.c_float, ctypes.c_double, ctypes.c_int32, ctypes.c_int64
+
+
+def _struct(name: str, *fields) -> type[ctypes.Structure]:
+    return type(name, (ctypes.Structure,), {"_fields_": list(fields), "__slots__": ()})
+
+
+# These mirror gavatar_native.h, field by field; ABI_VERSION changes with them.
+_ARRAYS = [(name, _P) for name in ("means", "scales", "colors", "opacities", "quaternions")]
+GaussiansStruct = _struct("GaussiansStruct", ("count", _L), *_ARRAYS, ("scale_columns", _I))
+CameraStruct = _struct(
+    "CameraStruct", ("rotation", _D * 9), ("translation", _D * 3), *((k, _D) for k in ("fx", "fy", "cx", "cy")),
+    ("width", _I), ("height", _I),
+)  # fmt: skip
+OptionsStruct = _struct(
+    "OptionsStruct", ("background", _F * 3), ("transmittance_stop", _F), ("keep", _I), ("fast_exp", _I)
+)
+ImagesStruct = _struct("ImagesStruct", *((k, _P) for k in ("color", "alpha", "depth", "color8")))
+ReportStruct = _struct(
+    "ReportStruct", *((k, _L) for k in ("dropped", "visible", "entries", "blended")),
+    *((k, _D) for k in ("project_s", "sort_s", "blend_s")),
+)  # fmt: skip
+GradientsStruct = _struct("GradientsStruct", *_ARRAYS)
+BackwardReportStruct = _struct("BackwardReportStruct", ("blend_s", _D), ("project_s", _D))
+
+_SIGNATURES = {
+    "gv_abi_version": (_I, []),
+    "gv_compiler": (ctypes.c_char_p, []),
+    "gv_isa_count": (_I, []),
+    "gv_isa_name": (ctypes.c_char_p, [_I]),
+    "gv_isa_supported": (_I, [_I]),
+    "gv_isa": (_I, []),
+    "gv_set_isa": (_I, [_I]),
+    "gv_threads": (_I, []),
+    "gv_set_threads": (None, [_I]),
+    "gv_frame_new": (_P, []),
+    "gv_frame_free": (None, [_P]),
+    "gv_frame_bytes": (_L, [_P]),
+    "gv_forward": (_I, [_P] * 6),
+    "gv_backward": (_I, [_P] * 8),
+    "gv_skin": (_I, [_L, _I, _I, _I] + [_P] * 5),
+    "gv_skin_backward": (_I, [_L, _I, _I, _I] + [_P] * 7),
+}
+
+
+@functools.cache
+def _load() -> tuple[ctypes.CDLL | None, str]:
+    """The library and '', or None and the reason."""
+    if os.environ.get("GAVATAR_NATIVE") == "0":
+        return None, "it is switched off by GAVATAR_NATIVE=0"
+    path = Path(os.environ.get("GAVATAR_NATIVE_LIBRARY") or LIBRARY)
+    if not path.exists():
+        return None, f"{path.name} was not compiled when gavatar was installed (no C++ compiler was found)"
+    try:
+        lib = ctypes.CDLL(str(path))
+        for name, (result, arguments) in _SIGNATURES.items():
+            function = getattr(lib, name)
+            function.restype, function.argtypes = result, arguments
+    except (OSError, AttributeError) as error:
+        return None, f"{path.name} cannot be loaded ({error})"
+    if lib.gv_abi_version() != ABI_VERSION:
+        return None, f"{path.name} is of another version of gavatar; install gavatar again"
+    if not lib.gv_isa_supported(0):
+        return None, "this processor lacks SSE4.1"
+    wanted = os.environ.get("GAVATAR_NATIVE_ISA")
+    if wanted:
+        _choose(lib, wanted)
+    return lib, ""
+
+
+def available() -> tuple[bool, str]:
+    """(whether the compiled kernel can be used, the reason if not)."""
+    lib, reason = _load()
+    return lib is not None, reason
+
+
+def library() -> ctypes.CDLL:
+    """The loaded kernel. Raises UserError with the reason and what to use instead."""
+    lib, reason = _load()
+    if lib is None:
+        raise UserError(f"rasterizer 'native' is not available: {reason}; use rasterizer numpy (player) or torch")
+    return lib
+
+
+def instruction_sets() -> list[str]:
+    """The compiled-in instruction sets that this processor has, from the plainest to the best."""
+    lib = library()
+    return [lib.gv_isa_name(i).decode() for i in range(lib.gv_isa_count()) if lib.gv_isa_supported(i)]
+
+
+def instruction_set() -> str:
+    """The instruction set in use: the best one unless GAVATAR_NATIVE_ISA or `use_instruction_set` chose another."""
+    lib = library()
+    return lib.gv_isa_name(lib.gv_isa()).decode()
+
+
+def use_instruction_set(name: str | None) -> None:
+    """Use instruction set `name` from now on, None for the best. Raises UserError if this processor lacks it."""
+    _choose(library(), name)
+
+
+def _choose(lib: ctypes.CDLL, name: str | None) -> None:
+    names = [lib.gv_isa_name(i).decode() for i in range(lib.gv_isa_count()) if lib.gv_isa_supported(i)]
+    if name is not None and name not in names:
+        raise UserError(f"GAVATAR_NATIVE_ISA '{name}' is not one of this processor's: {', '.join(names)}")
+    lib.gv_set_isa(-1 if name is None else names.index(name))
+
+
+def threads() -> int:
+    """Threads that the kernel uses, the caller's included."""
+    return library().gv_threads()
+
+
+def set_threads(count: int) -> None:
+    """Use `count` threads from now on; 0 for as many as the process has cores."""
+    if not 0 <= count <= 256:
+        raise UserError(f"rasterizer.threads must be between 0 and 256, got {count}")
+    library().gv_set_threads(count)
+
+
+class Frame:
+    """What a forward leaves for its backward, and buffers for the next frame: one at a time a frame in flight."""
+
+    def __init__(self):
+        self._lib = library()
+        self.handle = self._lib.gv_frame_new()
+        if not self.handle:
+            raise MemoryError("native rasterizer: out of memory")
+
+    @property
+    def nbytes(self) -> int:
+        return self._lib.gv_frame_bytes(self.handle)
+
+    def __del__(self):
+        if getattr(self, "handle", None):
+            self._lib.gv_frame_free(self.handle)
+            self.handle = None
+
+
+def camera_struct(camera) -> CameraStruct:
+    """A `gavatar_runtime.camera.Camera` for the kernel. Raises UserError for what is not a camera's numbers."""
+    T = camera.T_camera_world
+    numbers = (camera.fx, camera.fy, camera.cx, camera.cy, *T[:3].ravel().tolist())
+    if not (0 < camera.width <= 1 << 17 and 0 < camera.height <= 1 << 17):
+        raise UserError(f"camera: width and height must be in 1..131072, got {camera.width} x {camera.height}")
+    if not (camera.fx > 0 and camera.fy > 0 and all(abs(x) < 1e30 for x in numbers)):
+        raise UserError("camera: fx and fy must be positive and every number finite")
+    return CameraStruct(
+        (_D * 9)(*T[:3, :3].ravel().tolist()), (_D * 3)(*T[:3, 3].tolist()), *numbers[:4], camera.width, camera.height
+    )
+
+
+def check(code: int) -> None:
+    """Turn a kernel's return code into an exception."""
+    if code:
+        raise MemoryError("native rasterizer: out of memory")

@@ -1,0 +1,135 @@
+// What the dispatcher (engine.cpp, compiled once) and the kernels (kernels.cpp, compiled once per instruction set)
+// share: plain data, and a table of functions. Nothing here may become code in a kernel's object file that the linker
+// could choose for the baseline too, so there are no standard containers and no non-trivial inline functions.
+#pragma once
+#include <stddef.h>
+#include <stdint.h>
+
+#include "gavatar_native.h"
+
+namespace gv {
+
+// A tile is 32x32 pixels: 64 blocks of 4x4, so that a set of blocks is one 64-bit word and a block is one vector of 16.
+constexpr int TILE = 32;
+constexpr int BLOCKS = 64;  // in a tile
+constexpr int CHUNK = 256;  // Gaussians blended into a tile at a time
+constexpr int BATCH = 64;   // Gaussians projected at a time
+
+constexpr float LOW_PASS = 0.3f;
+constexpr float ALPHA_MAX = 0.99f;
+constexpr float ALPHA_MIN = 1.f / 255.f;
+constexpr float NEAR = 0.01f;
+constexpr float FRUSTUM_MARGIN = 0.3f;
+constexpr float LOG2E = 1.4426950408889634f;
+constexpr float LOG2_255 = 7.994353436858858f;
+
+// A Gaussian on the image. The exponent of its alpha at offset (dx, dy) from (u, v) is
+// 8 (xx dx^2 + xy dx dy + yy dy^2) in powers of two; u and v count from the centre of pixel (0, 0).
+struct Record {
+  float u, v, xx, xy, yy, r, g, b;
+};
+
+// One (Gaussian, tile) pair: depth bits, index, range of blocks, from the top bit down; comparing entries as numbers
+// orders them by (depth, index), since the bits of positive floats sort like the floats.
+// The range is x0, x1, y0, y1 of 3 - granularity bits each; where there are more than 2^20 Gaussians the range is made
+// coarser and the index longer.
+typedef uint64_t Entry;
+
+struct EntryBlock {
+  static constexpr uint32_t CAPACITY = 62;
+  Entry entry[CAPACITY];
+  EntryBlock* next;
+  uint32_t count, padding;
+};
+
+struct TileList {
+  Entry* cursor;
+  uint32_t left;    // entries until the block is full
+  uint32_t blocks;  // blocks so far
+  EntryBlock *head, *tail;
+};
+
+// The entries that one thread has made, by tile.
+struct Bins {
+  TileList* tiles;
+  int64_t visible, dropped;
+  void* owner;
+};
+
+// What is needed to project, in the types the arithmetic uses.
+struct Projection {
+  GvGaussians gaussians;
+  double rotation[9], translation[3];
+  float rotation_f[9];
+  float fx, fy, cx, cy;
+  float x_low, x_high, y_low, y_high;  // bounds of X/Z and Y/Z inside the Jacobian
+  int32_t width, height, tiles_x, tiles_y;
+  int32_t granularity;
+  Record* records;
+  float* log_opacity;  // log2(opacity) / 8, or null
+  EntryBlock* (*grow)(Bins*);
+};
+
+// A tile's Gaussians in the order they were blended, kept for the backward.
+struct Kept {
+  uint32_t* index;
+  uint64_t* blocks;  // which of the tile's blocks each touches
+  float* depth;
+  uint32_t count;
+};
+
+struct TileJob {
+  const Projection* projection;
+  const GvOptions* options;
+  const GvImages* images;
+  int32_t tile_x, tile_y;
+  Bins** bins;
+  int32_t bin_count;
+  uint32_t count;     // entries
+  Entry* work;        // (count) room to sort in
+  void* scratch;      // forward_scratch_bytes
+  void (*sort)(Entry*, size_t);
+  uint32_t* kept_index;  // (count) room for what is kept, or null
+  uint64_t* kept_blocks;
+  float* kept_depth;
+  uint32_t blended;   // out
+  double sort_s, blend_s;  // out
+  double (*clock)();
+};
+
+// Sums over pixels of one Gaussian in one tile, v = alpha dL/dalpha and w = blending weight.
+struct Sums {
+  float v_dx, v_dy, v_dxdx, v_dxdy, v_dydy, w_r, w_g, w_b;
+};
+struct MoreSums {
+  float v, w_depth;
+};
+
+struct BackwardTileJob {
+  const Projection* projection;
+  const GvOptions* options;
+  const GvImages* images;
+  const GvImages* upstream;
+  int32_t tile_x, tile_y;
+  Kept kept;
+  Sums* sums;      // (count) out
+  MoreSums* more;  // (count) out, null unless opacity or depth gradients flow
+  void* scratch;   // backward_scratch_bytes
+};
+
+struct Kernels {
+  size_t forward_scratch_bytes, backward_scratch_bytes;
+  void (*project)(const Projection*, Bins*, int64_t begin, int64_t end);
+  void (*forward_tile)(TileJob*);
+  void (*backward_tile)(BackwardTileJob*);
+  // Gradients of Gaussians [begin, end) from their sums, which are cleared.
+  void (*backward_project)(const Projection*, Sums*, MoreSums*, const GvGradients*, int64_t begin, int64_t end);
+  // False when an index is not below `joints`.
+  bool (*skin)(int64_t begin, int64_t end, int32_t slots, int32_t joints, int32_t stride, const float* points,
+               const int32_t* index, const float* weight, const float* transforms, float* out);
+  bool (*skin_backward)(int64_t begin, int64_t end, int32_t slots, int32_t joints, int32_t stride, const float* points,
+                        const int32_t* index, const float* weight, const float* transforms, const float* grad_out,
+                        float* grad_points, float* grad_transforms);
+};
+
+}  // namespace gv

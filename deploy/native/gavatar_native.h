@@ -1,0 +1,97 @@
+// The C interface of gavatar's native kernel: exact Gaussian splatting, forward and backward, and linear blend skinning.
+//
+// Everything is float32 in host memory, C-contiguous. The rule is the one of gavatar_runtime/rasterizers/rules.py.
+// Calls from several threads are safe: they take turns, since all of them share one pool of worker threads.
+// Functions that can fail return 0 on success, -1 when memory ran out and -2 for an index out of range.
+#pragma once
+#include <stdint.h>
+
+#if defined(__GNUC__)
+#define GV_API extern "C" __attribute__((visibility("default")))
+#else
+#define GV_API extern "C"
+#endif
+
+#define GV_ABI_VERSION 1
+
+struct GvGaussians {
+  int64_t count;
+  const float* means;        // (N, 3) metres, world
+  const float* scales;       // (N,) or (N, 3) metres
+  const float* colors;       // (N, 3)
+  const float* opacities;    // (N,) or null for 1
+  const float* quaternions;  // (N, 4) wxyz or null for the identity
+  int32_t scale_columns;     // 1 or 3
+};
+
+struct GvCamera {
+  double rotation[9], translation[3];  // world to camera, row-major
+  double fx, fy, cx, cy;               // pixels
+  int32_t width, height;
+};
+
+struct GvOptions {
+  float background[3];
+  float transmittance_stop;  // 1e-4 is the exact rule; larger stops earlier
+  int32_t keep;              // 1: keep in the frame what gv_backward needs
+  int32_t fast_exp;          // 1: cubic exponential, relative error 6e-4 instead of 6e-7
+};
+
+struct GvImages {
+  float* color;    // (H, W, 3), may be null
+  float* alpha;    // (H, W), may be null
+  float* depth;    // (H, W), may be null: then it is not computed
+  uint8_t* color8; // (H, W, 3) rounded to 0..255, may be null
+};
+
+struct GvReport {
+  int64_t dropped;    // non-finite field or negative scale
+  int64_t visible;    // reach at least one pixel
+  int64_t entries;    // (Gaussian, tile) pairs
+  int64_t blended;    // of those, the ones not behind opaque pixels
+  double project_s, sort_s, blend_s;  // wall seconds of projection; of a thread's mean in sorting and in blending
+};
+
+struct GvGradients {  // what is written, zero for Gaussians without influence; null: not wanted (means never null)
+  float* means;
+  float* scales;
+  float* colors;
+  float* opacities;
+  float* quaternions;
+};
+
+struct GvBackwardReport {
+  double blend_s, project_s;
+};
+
+struct GvFrame;  // what a forward leaves for its backward, and buffers that the next forward reuses
+
+GV_API int32_t gv_abi_version(void);
+GV_API const char* gv_compiler(void);
+
+// Instruction sets: index 0 is the baseline. `gv_isa_count` are compiled in, `gv_isa_supported` run on this processor.
+GV_API int32_t gv_isa_count(void);
+GV_API const char* gv_isa_name(int32_t isa);
+GV_API int32_t gv_isa_supported(int32_t isa);
+GV_API int32_t gv_isa(void);
+GV_API int32_t gv_set_isa(int32_t isa);  // -1: the best one; returns what is used now
+
+GV_API int32_t gv_threads(void);
+GV_API void gv_set_threads(int32_t threads);  // 0: the cores this process may use
+
+GV_API GvFrame* gv_frame_new(void);
+GV_API void gv_frame_free(GvFrame*);
+GV_API int64_t gv_frame_bytes(const GvFrame*);
+GV_API int32_t gv_forward(GvFrame*, const GvGaussians*, const GvCamera*, const GvOptions*, const GvImages*, GvReport*);
+// `images` are the forward's outputs, `upstream` dL/d(images) (color, alpha, depth; null where zero).
+GV_API int32_t gv_backward(GvFrame*, const GvGaussians*, const GvCamera*, const GvOptions*, const GvImages* images,
+                           const GvImages* upstream, const GvGradients*, GvBackwardReport*);
+
+// Skinning: out_n = sum_k weight[n, k] (A[index[n, k]] applied to point n). A: (J, 3, 4) with `stride` floats a joint
+// (12, or 16 for (J, 4, 4)). Indices outside [0, joints) fail.
+GV_API int32_t gv_skin(int64_t count, int32_t slots, int32_t joints, int32_t stride, const float* points,
+                       const int32_t* index, const float* weight, const float* transforms, float* out);
+// Gradients of gv_skin; `grad_transforms` (J, stride) is overwritten; either gradient may be null.
+GV_API int32_t gv_skin_backward(int64_t count, int32_t slots, int32_t joints, int32_t stride, const float* points,
+                                const int32_t* index, const float* weight, const float* transforms,
+                                const float* grad_out, float* grad_points, float* grad_transforms);

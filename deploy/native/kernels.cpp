@@ -1,0 +1,24 @@
+// The arithmetic, compiled once for every instruction set with GV_NAMESPACE set to its name. Only the table at the end
+// leaves this file, and nothing of the standard library is used: what the linker might share with the baseline must
+// not contain this file's instructions.
+#include "engine.h"
+#include "simd.h"
+
+namespace GV_NAMESPACE {
+using namespace gv;
+#include "project.inc"
+#include "blend.inc"
+#include "skin.inc"
+}  // namespace GV_NAMESPACE
+
+namespace gv {
+#define GV_JOIN2(a, b) a##b
+#define GV_JOIN(a, b) GV_JOIN2(a, b)
+extern const Kernels GV_JOIN(kernels_, GV_NAMESPACE);
+const Kernels GV_JOIN(kernels_, GV_NAMESPACE) = {
+    sizeof(GV_NAMESPACE::ForwardScratch), sizeof(GV_NAMESPACE::BackwardScratch),
+    GV_NAMESPACE::project,                GV_NAMESPACE::forward_tile,
+    GV_NAMESPACE::backward_tile,          GV_NAMESPACE::backward_project,
+    GV_NAMESPACE::skin,                   GV_NAMESPACE::skin_backward,
+};
+}  // namespace gv

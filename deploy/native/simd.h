@@ -1,0 +1,162 @@
+// Vectors of the widest kind the compiler's flags allow, and sixteen-pixel values built of them.
+//
+// Written with the vector extensions of GCC and Clang, so that one source serves AVX-512, AVX2, SSE and NEON; intrinsics
+// stand only where the extension has no word (min, max, reciprocal, sign mask), each with a portable twin.
+#pragma once
+#include <stdint.h>
+
+#if defined(GV_FORCE_LANES)  // tests the wide code on a narrow machine
+#define GV_LANES GV_FORCE_LANES
+#elif defined(__AVX512F__)
+#define GV_LANES 16
+#elif defined(__AVX2__)
+#define GV_LANES 8
+#else
+#define GV_LANES 4
+#endif
+#if defined(__SSE4_1__)
+#include <immintrin.h>
+#elif defined(__ARM_NEON)
+#include <arm_neon.h>
+#endif
+#define GV_INLINE static inline __attribute__((always_inline))
+
+namespace GV_NAMESPACE {
+
+constexpr int LANES = GV_LANES;
+constexpr int PARTS = 16 / LANES;  // native vectors in sixteen pixels
+
+typedef float V __attribute__((vector_size(4 * GV_LANES)));
+typedef int32_t I __attribute__((vector_size(4 * GV_LANES)));
+
+GV_INLINE V splat(float x) { return V{} + x; }
+GV_INLINE V select(I mask, V yes, V no) { return mask ? yes : no; }
+GV_INLINE V keep(I mask, V x) { return (V)((I)x & mask); }
+GV_INLINE V load(const float* p) {
+  V x;
+  __builtin_memcpy(&x, p, sizeof x);
+  return x;
+}
+GV_INLINE void store(float* p, V x) { __builtin_memcpy(p, &x, sizeof x); }
+
+#if GV_LANES == 16 && defined(__AVX512F__)
+GV_INLINE V minimum(V a, V b) { return (V)_mm512_min_ps((__m512)a, (__m512)b); }
+GV_INLINE V reciprocal_estimate(V x) { return (V)_mm512_rcp14_ps((__m512)x); }
+GV_INLINE bool any_positive(V x) {
+  return _mm512_cmp_ps_mask((__m512)x, _mm512_setzero_ps(), _CMP_GT_OQ) != 0;
+}
+#define GV_HAS_ESTIMATE 1
+#elif GV_LANES == 8 && defined(__AVX2__)
+GV_INLINE V minimum(V a, V b) { return (V)_mm256_min_ps((__m256)a, (__m256)b); }
+GV_INLINE V reciprocal_estimate(V x) { return (V)_mm256_rcp_ps((__m256)x); }
+GV_INLINE bool any_positive(V x) { return _mm256_movemask_ps((__m256)x) != 255; }
+#define GV_HAS_ESTIMATE 1
+#elif GV_LANES == 4 && defined(__SSE4_1__)
+GV_INLINE V minimum(V a, V b) { return (V)_mm_min_ps((__m128)a, (__m128)b); }
+GV_INLINE V reciprocal_estimate(V x) { return (V)_mm_rcp_ps((__m128)x); }
+GV_INLINE bool any_positive(V x) { return _mm_movemask_ps((__m128)x) != 15; }
+#define GV_HAS_ESTIMATE 1
+#else
+GV_INLINE V minimum(V a, V b) { return a < b ? a : b; }
+GV_INLINE bool any_positive(V x) {
+  I positive = x > 0.f;
+  int32_t any = 0;
+  for (int i = 0; i < LANES; i++) any |= positive[i];
+  return any != 0;
+}
+#define GV_HAS_ESTIMATE 0
+#endif
+
+// 1/x to float32 accuracy. The estimate has 12 bits or more, one Newton step doubles them; a division costs more.
+GV_INLINE V reciprocal(V x) {
+#if GV_HAS_ESTIMATE
+  V r = reciprocal_estimate(x);
+  return r + r * (1.f - x * r);
+#else
+  return 1.f / x;
+#endif
+}
+
+// 2^(8 x) for x in [-1, 0]: a polynomial for 2^x and three squarings, which needs no integer arithmetic.
+// Relative error 6e-7 (degree 5) or 6e-4 (degree 3). Lanes outside the range hold rubbish that the caller masks.
+template <bool FAST>
+GV_INLINE V exp2_of_8x(V x) {
+  V p;
+  if (FAST) {
+    p = x * 0.03901225973f + 0.2300703684f;
+    p = p * x + 0.6910207187f;
+    p = p * x + 0.9999252207f;
+  } else {
+    p = x * 0.0009387883195f + 0.009188611833f;
+    p = p * x + 0.05527972285f;
+    p = p * x + 0.2401721894f;
+    p = p * x + 0.6931422526f;
+    p = p * x + 0.9999999251f;
+  }
+  p = p * p;
+  p = p * p;
+  return p * p;
+}
+
+// ---- transposition of LANES x LANES floats ----------------------------------------------------------------------
+// out[lane] is taken from a (index < LANES) or b (index - LANES).
+template <int... N>
+struct Lanes {};
+template <int N, int... Rest>
+struct MakeLanes : MakeLanes<N - 1, N - 1, Rest...> {};
+template <int... Rest>
+struct MakeLanes<0, Rest...> {
+  typedef Lanes<Rest...> type;
+};
+#if defined(__clang__)
+#define GV_SHUFFLE(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#else
+#define GV_SHUFFLE(a, b, ...) __builtin_shuffle(a, b, I{__VA_ARGS__})
+#endif
+constexpr int interleave(int l, int high) { return (l & ~3) + ((l & 3) >> 1) + 2 * high + (l & 1) * LANES; }
+constexpr int pair_up(int l, int high) { return (l & ~3) + (l & 1) + 2 * high + ((l & 2) ? LANES : 0); }
+constexpr int exchange(int l, int s, int high) {
+  return (l & s) == (high ? s : 0) ? (high ? LANES + l : l) : (high ? l + s : LANES + l - s);
+}
+template <int HIGH, int... N>
+GV_INLINE V interleave_v(V a, V b, Lanes<N...>) {
+  return GV_SHUFFLE(a, b, interleave(N, HIGH)...);
+}
+template <int HIGH, int... N>
+GV_INLINE V pair_up_v(V a, V b, Lanes<N...>) {
+  return GV_SHUFFLE(a, b, pair_up(N, HIGH)...);
+}
+template <int S, int HIGH, int... N>
+GV_INLINE V exchange_v(V a, V b, Lanes<N...>) {
+  return GV_SHUFFLE(a, b, exchange(N, S, HIGH)...);
+}
+template <int S>
+GV_INLINE void exchange_rows(V* m) {
+  for (int i = 0; i < LANES; i++)
+    if (!(i & S)) {
+      V a = m[i], b = m[i + S];
+      m[i] = exchange_v<S, 0>(a, b, typename MakeLanes<LANES>::type{});
+      m[i + S] = exchange_v<S, 1>(a, b, typename MakeLanes<LANES>::type{});
+    }
+}
+
+// m[row][column] becomes m[column][row]. Two steps inside groups of four lanes, then whole groups change places.
+GV_INLINE void transpose(V* m) {
+  typename MakeLanes<LANES>::type lanes;
+  for (int i = 0; i < LANES; i += 4) {
+    V a = interleave_v<0>(m[i], m[i + 1], lanes), b = interleave_v<1>(m[i], m[i + 1], lanes);
+    V c = interleave_v<0>(m[i + 2], m[i + 3], lanes), d = interleave_v<1>(m[i + 2], m[i + 3], lanes);
+    m[i] = pair_up_v<0>(a, c, lanes);
+    m[i + 1] = pair_up_v<1>(a, c, lanes);
+    m[i + 2] = pair_up_v<0>(b, d, lanes);
+    m[i + 3] = pair_up_v<1>(b, d, lanes);
+  }
+#if GV_LANES > 4
+  exchange_rows<4>(m);
+#endif
+#if GV_LANES > 8
+  exchange_rows<8>(m);
+#endif
+}
+
+}  // namespace GV_NAMESPACE

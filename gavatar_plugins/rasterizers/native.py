@@ -1,0 +1,152 @@
+"""The compiled rasterizer in training: exact forward and backward on the CPU, float32."""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+
+import torch
+from gavatar_runtime import native_library as nl
+from gavatar_runtime.camera import Camera
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.gaussians import Gaussians, Rendering
+from gavatar_runtime.rasterizers.rules import TRANSMITTANCE_STOP
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from gavatar.registry import RASTERIZERS
+
+SPARE_FRAMES = 16  # frames whose memory waits for the next forward; a batch has fewer
+
+
+@dataclasses.dataclass
+class NativeRasterizerConfig:
+    """threads: of the kernel's pool, 0 for as many as the process has cores (the pool is shared by the process)."""
+
+    threads: int = 0
+
+
+@RASTERIZERS.register(
+    "native",
+    config=NativeRasterizerConfig,
+    summary="exact, differentiable, compiled for the CPU",
+    needs="a C++ compiler",
+)
+class NativeRasterizer:
+    """Exact splatting of float32 CPU tensors, with gradients to every field and to the background.
+
+    `rasterizer(gaussians, camera, background) -> Rendering`, following `gavatar_runtime.rasterizers.rules`. Results and
+    gradients are the same to the last bit whatever the number of threads. Raises UserError for float64 or CUDA
+    tensors, which rasterizer=torch takes, and where the kernel was not compiled.
+    """
+
+    differentiable = True
+
+    def __init__(self, config: NativeRasterizerConfig | None = None):
+        self.config = config or NativeRasterizerConfig()
+        self._lib = nl.library()
+        nl.set_threads(self.config.threads)
+        self._spare: list[nl.Frame] = []
+        self.stage_seconds: dict[str, float] = {}
+
+    def __call__(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
+        fields = _checked(gaussians)
+        background = torch.as_tensor(background, dtype=torch.float32)
+        report = nl.ReportStruct()
+        inputs = (*fields, background)
+        keep = torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in inputs)
+        color, alpha, depth = _Splat.apply(*inputs, camera, self, report, keep)
+        self.stage_seconds = {"project": report.project_s, "sort": report.sort_s, "blend": report.blend_s}
+        return Rendering(color, alpha, depth, dropped=report.dropped)
+
+    def take_frame(self) -> nl.Frame:
+        return self._spare.pop() if self._spare else nl.Frame()
+
+    def give_frame(self, frame: nl.Frame) -> None:
+        if len(self._spare) < SPARE_FRAMES:
+            self._spare.append(frame)
+
+
+def _checked(gaussians: Gaussians) -> list[Tensor | None]:
+    """The five fields, after UserError for what the kernel does not take and ValueError for shapes."""
+    n = len(gaussians.means)
+    shapes = {
+        "means": [(n, 3)],
+        "scales": [(n,), (n, 3)],
+        "colors": [(n, 3)],
+        "opacities": [(n,)],
+        "quaternions": [(n, 4)],
+    }
+    fields = []
+    for name, allowed in shapes.items():
+        value = getattr(gaussians, name)
+        if value is not None:
+            if value.device.type != "cpu" or value.dtype != torch.float32:
+                raise UserError(
+                    f"rasterizer=native takes float32 tensors on the CPU, got gaussians.{name} of {value.dtype} on "
+                    f"{value.device}; use rasterizer=torch"
+                )
+            if tuple(value.shape) not in allowed:
+                raise ValueError(f"gaussians.{name}: expected shape {allowed[0]}, got {tuple(value.shape)}")
+        fields.append(value)
+    return fields
+
+
+class _Lease:
+    """A frame in the hands of one autograd node; goes back to the rasterizer when the node does."""
+
+    def __init__(self, owner: NativeRasterizer):
+        self.owner, self.frame = owner, owner.take_frame()
+
+    def __del__(self):
+        if hasattr(self, "frame"):
+            self.owner.give_frame(self.frame)
+
+
+def _pointer(tensor: Tensor | None) -> int | None:
+    return None if tensor is None else tensor.data_ptr()
+
+
+def _struct(fields) -> nl.GaussiansStruct:
+    return nl.GaussiansStruct(len(fields[0]), *map(_pointer, fields), 3 if fields[1].ndim == 2 else 1)
+
+
+class _Splat(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, means, scales, colors, opacities, quaternions, background, camera, owner, report, keep):
+        fields = [None if x is None else x.contiguous() for x in (means, scales, colors, opacities, quaternions)]
+        lease = _Lease(owner)
+        struct, camera_struct = _struct(fields), nl.camera_struct(camera)
+        options = nl.OptionsStruct((ctypes.c_float * 3)(*background.tolist()), TRANSMITTANCE_STOP, int(keep), 0)
+        color = torch.empty((camera.height, camera.width, 3))
+        alpha, depth = (torch.empty((camera.height, camera.width)) for _ in range(2))
+        images = nl.ImagesStruct(_pointer(color), _pointer(alpha), _pointer(depth), None)
+        pointers = (ctypes.byref(x) for x in (struct, camera_struct, options, images, report))
+        nl.check(owner._lib.gv_forward(lease.frame.handle, *pointers))
+        ctx.set_materialize_grads(False)  # an image without gradient costs nothing in the backward
+        if keep:
+            ctx.lease, ctx.camera, ctx.options, ctx.lib = lease, camera_struct, options, owner._lib
+            ctx.save_for_backward(*fields, color, alpha, depth)
+        return color, alpha, depth
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, *upstream):
+        *fields, color, alpha, depth = ctx.saved_tensors
+        upstream = [None if g is None else g.contiguous() for g in upstream]
+        wanted = ctx.needs_input_grad[:5]
+        grads = [
+            torch.empty_like(x) if x is not None and (want or i == 0) else None
+            for i, (x, want) in enumerate(zip(fields, wanted, strict=True))
+        ]
+        structs = (
+            _struct(fields), ctx.camera, ctx.options, nl.ImagesStruct(*map(_pointer, (color, alpha, depth)), None),
+            nl.ImagesStruct(*map(_pointer, upstream), None), nl.GradientsStruct(*map(_pointer, grads)),
+            nl.BackwardReportStruct(),
+        )  # fmt: skip
+        nl.check(ctx.lib.gv_backward(ctx.lease.frame.handle, *(ctypes.byref(x) for x in structs)))
+        grads = [g if want else None for g, want in zip(grads, wanted, strict=True)]
+        background = None
+        if ctx.needs_input_grad[5] and upstream[0] is not None:
+            background = torch.einsum("hw,hwc->c", 1 - alpha, upstream[0])
+        return (*grads, background, None, None, None, None)
