@@ -7,12 +7,12 @@ from time import perf_counter
 
 import numpy as np
 
-from . import kinematics
 from .bundle import Bundle, read_bundle
 from .errors import UserError
 from .gaussians import Gaussians
 from .motion import Motion
 from .skeletons import fit_motion
+from .skinning import skin
 from .surface import positional_map
 
 OUTPUTS = ("offsets", "colors", "scales")
@@ -86,7 +86,7 @@ class Avatar:
         decoded = perf_counter()
         A = self.surface.skin_transforms(pose)
         A[:, :3, 3] += trans
-        means = kinematics.skin(points, self.surface.joint_index, self.surface.joint_weight, A)
+        means = skin(points, self.surface.joint_index, self.surface.joint_weight, A)
         self.stage_seconds = {
             "encode": encoded - start,
             "decode": decoded - encoded,
