@@ -81,7 +81,7 @@ def test_every_frame_is_rendered_with_its_camera_and_written(static, tmp_path):
     assert rasterizer.cameras == cameras
     assert calls == [(i, 5) for i in range(1, 6)]
     assert sorted(p.name for p in (tmp_path / "frames").iterdir()) == [f"{i:06d}.png" for i in range(5)]
-    assert list(timings.stages) == ["encode", "decode", "skin", "project", "sort", "blend", "write"]
+    assert list(timings.stages) == ["encode", "decode", "skin", "project", "sort", "blend", "other", "write"]
     assert all(len(v) == 5 for v in timings.stages.values())
     expected = Dots().render(avatar.gaussians(motion.poses[3], motion.trans[3]), cameras[3], (1, 1, 1)).color
     got = cv2.imread(str(tmp_path / "frames" / "000003.png"))[..., ::-1]
