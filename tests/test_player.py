@@ -412,3 +412,24 @@ def test_help_and_a_mistyped_option_load_neither_numpy_nor_a_network(tmp_path):
     for arguments in (["--help"], ["a.gavatar", "--sise", "3"]):
         done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=60)
         assert done.returncode == 0, done.stderr
+
+
+# the documentation
+
+
+def test_the_program_in_the_readme_runs(static, monkeypatch):
+    monkeypatch.delitem(PLAYER_RASTERIZERS._components, "dots")
+    try:
+        build_rasterizer()
+    except UserError as error:
+        pytest.skip(str(error))
+    text = (Path(__file__).resolve().parents[1] / "deploy" / "README.md").read_text(encoding="utf-8")
+    program = re.search(r"```python\n(.*?)```", text, re.DOTALL).group(1)
+    program = (
+        program.replace('"anna.gavatar"', repr(str(static)))
+        .replace('"wave"', '"wave", seconds=0.1')
+        .replace("512", "32")
+    )
+    names = {}
+    exec(program, names)
+    assert names["image"].shape == (32, 32, 3)

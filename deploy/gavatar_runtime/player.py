@@ -27,8 +27,8 @@ AUTO = ("native", "numpy")  # rasterizers that `auto` tries, the first that is t
 
 @dataclasses.dataclass
 class Timings:
-    """Seconds of each stage, one number a frame: encode, decode, skin, what the rasterizer names (project, sort, blend),
-    other (whatever none of them counted) and write."""
+    """Seconds of each stage, one number a frame: encode, decode, skin, what the rasterizer names (project, sort,
+    blend), other (whatever none of them counted) and write."""
 
     stages: dict[str, list[float]] = dataclasses.field(default_factory=dict)
 
