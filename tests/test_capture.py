@@ -7,12 +7,12 @@ import json
 import cv2
 import numpy as np
 import pytest
-from gavatar_runtime.errors import UserError
 from tiny_capture import demo, write_tiny_capture
 
 from gavatar.build import open_capture
 from gavatar.capture import View, read_capture
 from gavatar.registry import load_plugins
+from gavatar_runtime.errors import UserError
 
 
 @pytest.fixture
