@@ -103,11 +103,11 @@ def test_player_and_trainer_draw_the_same_to_the_last_bit():
         np.testing.assert_array_equal(a, b)
 
 
-def test_the_fast_switch_stays_within_60_db():
+def test_the_fast_switch_stays_within_70_db():
     scene, camera = as_numpy(body_scene(20000)), body_camera(256, 256)
     exact = np.array(Player().render(scene, camera).color)
     error = Player(NativeConfig(fast=True)).render(scene, camera).color - exact
-    assert 0 < np.mean(error**2) < 1e-6  # measured: see the printed figure of benchmarks/splatting.py
+    assert 0 < np.mean(error**2) < 1e-7  # 70 dB; measured 81 to 84 dB on body scenes
 
 
 def test_equal_depths_are_drawn_in_order_of_index():

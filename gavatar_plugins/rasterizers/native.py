@@ -6,15 +6,15 @@ import ctypes
 import dataclasses
 
 import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from gavatar.registry import RASTERIZERS
 from gavatar_runtime import native_library as nl
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.gaussians import Gaussians, Rendering
 from gavatar_runtime.rasterizers.rules import TRANSMITTANCE_STOP
-from torch import Tensor
-from torch.autograd.function import once_differentiable
-
-from gavatar.registry import RASTERIZERS
 
 SPARE_FRAMES = 16  # frames whose memory waits for the next forward; a batch has fewer
 
