@@ -1,4 +1,4 @@
-# Each target sets itself up: .venv is made when absent and refreshed when pyproject.toml or constraints.txt changed.
+# Each target sets itself up: .venv is made when absent and refreshed when pyproject.toml, constraints.txt or the native sources changed.
 PYTHON ?= python3
 VENV ?= .venv
 PIP_ARGS ?=
@@ -24,7 +24,7 @@ help:
 
 setup: $(STAMP)
 
-$(STAMP): pyproject.toml constraints.txt $(wildcard setup.py)
+$(STAMP): pyproject.toml constraints.txt $(wildcard setup.py deploy/native/*)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo 'error: constraints.txt needs Python 3.11 or later: set PYTHON=python3.11' >&2; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

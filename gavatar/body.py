@@ -37,7 +37,7 @@ def joint_transforms(rotations: Tensor, joints: Tensor, parents: list[int]) -> t
     for j, parent in enumerate(parents):
         if parent < 0:
             R.append(rotations[..., j, :, :])
-            p.append(joints[..., j, :].expand(rotations.shape[:-3] + (3,)))
+            p.append(joints[..., j, :].expand(*rotations.shape[:-3], 3))
         else:
             bone = joints[..., j, :] - joints[..., parent, :]
             R.append(R[parent] @ rotations[..., j, :, :])

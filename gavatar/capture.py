@@ -181,12 +181,13 @@ def read_capture(path: str | os.PathLike) -> Capture:
     if version != CAPTURE_VERSION:
         if isinstance(version, int) and version > CAPTURE_VERSION:
             raise UserError(
-                f"{path / 'capture.json'} is of format version {version}; this gavatar reads {CAPTURE_VERSION}: upgrade it"
+                f"{path / 'capture.json'} is of format version {version}; this gavatar reads {CAPTURE_VERSION}: "
+                "upgrade it"
             )
         raise UserError(f"{path / 'capture.json'}: version must be {CAPTURE_VERSION}, not {version!r}")
     cameras = _cameras(path / "cameras.json")
-    motion = read_motion(path / "body.npz")
-    truth = read_motion(path / "body_truth.npz") if (path / "body_truth.npz").exists() else None
+    motion = read_motion(path / "body.npz", up="y")
+    truth = read_motion(path / "body_truth.npz", up="y") if (path / "body_truth.npz").exists() else None
     if truth is not None and len(truth) != len(motion):
         raise UserError(f"{path / 'body_truth.npz'} has {len(truth)} frames, but body.npz has {len(motion)}")
     splits = _splits(path / "capture.json", info.get("splits") or {}, cameras, len(motion))

@@ -118,7 +118,7 @@ class Lpips(nn.Module):
 
 
 def _unit(x: Tensor) -> Tensor:
-    # the square root is kept off zero, where its gradient is infinite: dead ReLUs make whole vectors vanish
+    # the square root is kept off zero, where its gradient is infinite: squares of tiny features underflow
     return x / (torch.sqrt(x.square().sum(1, keepdim=True) + UNIT_EPS**2) + UNIT_EPS)
 
 

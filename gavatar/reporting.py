@@ -45,8 +45,8 @@ def table(result: Evaluation) -> str:
         for row in result.rows
     ]
     notes = [
-        f"stage {result.run.stage} avatar, {len(result.run.avatar.surface)} Gaussians; whole frames on white; PSNR in dB, "
-        "joints in mm (22 body joints, root-aligned)",
+        f"stage {result.run.stage} avatar, {len(result.run.avatar.surface)} Gaussians; whole frames on white; PSNR in "
+        "dB, joints in mm (22 body joints, root-aligned)",
     ]
     if result.perceptual_name:
         notes.append(f"perceptual: {result.perceptual_name} (not LPIPS)")

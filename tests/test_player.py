@@ -81,7 +81,7 @@ def test_every_frame_is_rendered_with_its_camera_and_written(static, tmp_path):
     assert rasterizer.cameras == cameras
     assert calls == [(i, 5) for i in range(1, 6)]
     assert sorted(p.name for p in (tmp_path / "frames").iterdir()) == [f"{i:06d}.png" for i in range(5)]
-    assert list(timings.stages) == ["encode", "decode", "skin", "project", "sort", "blend", "write"]
+    assert list(timings.stages) == ["encode", "decode", "skin", "project", "sort", "blend", "other", "write"]
     assert all(len(v) == 5 for v in timings.stages.values())
     expected = Dots().render(avatar.gaussians(motion.poses[3], motion.trans[3]), cameras[3], (1, 1, 1)).color
     got = cv2.imread(str(tmp_path / "frames" / "000003.png"))[..., ::-1]
@@ -412,3 +412,24 @@ def test_help_and_a_mistyped_option_load_neither_numpy_nor_a_network(tmp_path):
     for arguments in (["--help"], ["a.gavatar", "--sise", "3"]):
         done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=60)
         assert done.returncode == 0, done.stderr
+
+
+# the documentation
+
+
+def test_the_program_in_the_readme_runs(static, monkeypatch):
+    monkeypatch.delitem(PLAYER_RASTERIZERS._components, "dots")
+    try:
+        build_rasterizer()
+    except UserError as error:
+        pytest.skip(str(error))
+    text = (Path(__file__).resolve().parents[1] / "deploy" / "README.md").read_text(encoding="utf-8")
+    program = re.search(r"```python\n(.*?)```", text, re.DOTALL).group(1)
+    program = (
+        program.replace('"anna.gavatar"', repr(str(static)))
+        .replace('"wave"', '"wave", seconds=0.1')
+        .replace("512", "32")
+    )
+    names = {}
+    exec(program, names)
+    assert names["image"].shape == (32, 32, 3)

@@ -21,14 +21,14 @@ from .registry import Registry
 from .writers import Writer, to_bytes
 
 WARM_UP = 3  # frames left out of the medians where there are more: first use of buffers and networks
-WRITE = "write"
+OTHER, WRITE = "other", "write"
 AUTO = ("native", "numpy")  # rasterizers that `auto` tries, the first that is there to be used
 
 
 @dataclasses.dataclass
 class Timings:
-    """Seconds of each stage, one number a frame: encode, decode, skin, what the rasterizer names (project, sort, blend)
-    and write."""
+    """Seconds of each stage, one number a frame: encode, decode, skin, what the rasterizer names (project, sort,
+    blend), other (whatever none of them counted) and write."""
 
     stages: dict[str, list[float]] = dataclasses.field(default_factory=dict)
 
@@ -87,12 +87,15 @@ def play(
     render = getattr(rasterizer, "render_uint8", None) or (lambda *scene: to_bytes(rasterizer.render(*scene).color))
     try:
         for done, frame in enumerate(wanted, 1):
+            start = perf_counter()
             gaussians = avatar.gaussians(motion.poses[frame], motion.trans[frame])
             image = render(gaussians, cameras[frame], background)
-            start = perf_counter()
+            drawn = perf_counter()
             writer.add(image)
-            write = perf_counter() - start
-            timings.add({**avatar.stage_seconds, **rasterizer.stage_seconds, WRITE: write})
+            written = perf_counter()
+            stages = {**avatar.stage_seconds, **rasterizer.stage_seconds}
+            other = max(0.0, drawn - start - sum(stages.values()))
+            timings.add({**stages, OTHER: other, WRITE: written - drawn})
             if progress is not None:
                 progress(done, len(wanted))
         writer.close()

@@ -43,9 +43,12 @@ def parser() -> argparse.ArgumentParser:
         "--frames", metavar="A:B:STEP", default="::", help="frames to take, as in Python (default: all)"
     )
     parser.add_argument("--size", type=int, metavar="N", help="make the images' longer side N pixels")
-    parser.add_argument("--holdout-camera", metavar="CAM", help="keep this camera for testing novel views")
+    parser.add_argument("--holdout-camera", metavar="CAM", help="keep this camera's images from training, to test "
+                        "novel views (the body is fitted to all cameras)")  # fmt: skip
     parser.add_argument("--fov", type=float, metavar="DEG", help="field of view of an unknown camera over the longer "
                         "side, degrees (default: 40)")  # fmt: skip
+    parser.add_argument("--refine-cameras", action="store_true", 
+                        help="let calibrated principal points move a little, where the cameras disagree")  # fmt: skip
     parser.add_argument("--height", type=float, metavar="M", help="the person's height in metres, if known")
     parser.add_argument("--body", default="free", help="body to fit (default: free)")
     parser.add_argument("--name", help="name of the capture (default: the folder's)")
@@ -105,7 +108,7 @@ def main(argv: list[str] | None = None) -> int:
         out,
         facts,
         **({} if arguments.fov is None else {"fov": arguments.fov}),
-        options=FitOptions(stature=arguments.height),
+        options=FitOptions(stature=arguments.height, refine_cameras=arguments.refine_cameras),
         overwrite=arguments.overwrite,
         preview=arguments.preview,
         progress=not arguments.quiet,

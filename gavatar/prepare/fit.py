@@ -36,8 +36,9 @@ class FitOptions:
     None when unknown; with one uncalibrated camera size and distance cannot be told apart, so the prior decides.
     """
 
-    steps: tuple[int, int, int] = (80, 200, 300)
+    steps: tuple[int, int, int] = (60, 150, 200)
     stature: float | None = None
+    refine_cameras: bool = False  # calibrated principal points may move: a small error of a camera's direction
     surface_points: int = 1500
     image_sigma: float = 0.02  # metres
     bone_sigma: float = 0.35  # radians; depth from one view is rough
@@ -48,7 +49,7 @@ class FitOptions:
     weights: dict = dataclasses.field(
         default_factory=lambda: {
             "image": 1.0, "bones": 0.5, "inside": 1.0, "reach": 3.0, "pose": 0.05, "betas": 0.005, "offset": 0.02,
-            "smooth": 0.1, "stature": 1.0,
+            "smooth": 0.1, "stature": 1.0, "camera": 0.01,
         }
     )  # fmt: skip
 
@@ -58,13 +59,15 @@ class Fit:
     """A fitted body.
 
     poses: (T, J, 3) axis-angle in [0, pi], fingers zero. trans: (T, 3) metres. betas: (B,). image_error: (C, T, 33)
-    pixels between landmarks and their points on the body, NaN where not seen. losses: last value of each term.
+    pixels between landmarks and their points on the body, NaN where not seen. shift: (C, 2) pixels by which the
+    cameras' principal points moved, zero unless they were to be refined. losses: last value of each term.
     """
 
     poses: np.ndarray
     trans: np.ndarray
     betas: np.ndarray
     image_error: np.ndarray
+    shift: np.ndarray
     losses: dict[str, float]
 
 
@@ -118,6 +121,7 @@ class BodyFitter:
         self.trans = _tensor(trans).requires_grad_()
         self.betas = torch.zeros(self.rig.num_betas, requires_grad=True)
         self.offsets = torch.zeros(33, 3, requires_grad=True)
+        self.shift = torch.zeros(len(self.cameras), 2, requires_grad=self.options.refine_cameras)
         self.offset_sigma = _tensor(OFFSET_SIGMA)[:, None]
 
     def _observations(self, seen: Observations) -> None:
@@ -146,7 +150,7 @@ class BodyFitter:
         local = points @ self.R[camera].T + self.t[camera]
         depth = local[..., 2].clamp_min(0.1)
         K = self.K[camera]
-        return local[..., :2] / depth[..., None] * K[:2] + K[2:], depth
+        return local[..., :2] / depth[..., None] * K[:2] + K[2:] + self.shift[camera], depth
 
     def losses(self, stage: int) -> dict[str, Tensor]:
         """Every term of the objective, unweighted, for stage 0 (place), 1 (pose) or 2 (silhouette)."""
@@ -173,6 +177,9 @@ class BodyFitter:
             "betas": self.betas.square().sum(), "offset": (self.mirrored_offsets() / self.offset_sigma).square().sum(),
             "smooth": self._smoothness(body),
         }  # fmt: skip
+        if options.refine_cameras:
+            sides = _tensor([[max(c.width, c.height)] for c in self.cameras])
+            terms["camera"] = (self.shift / (0.01 * sides)).square().sum()  # one per cent of the image's side
         if options.stature is not None:
             terms["stature"] = ((self.rig.stature(self.betas) - options.stature) / 0.01) ** 2
         return terms
@@ -208,13 +215,17 @@ class BodyFitter:
             ("pose", [self.turn, self.trans, self.betas, self.poses, self.offsets]),
             ("silhouette", [self.turn, self.trans, self.betas, self.poses, self.offsets]),
         )
-        rates = {id(self.turn): 0.02, id(self.trans): 0.02, id(self.betas): 0.03, id(self.poses): 0.03,
-                 id(self.offsets): 0.002}  # fmt: skip
+        side = max(self.cameras[0].width, self.cameras[0].height)
+        rates = {self.turn: 0.02, self.trans: 0.02, self.betas: 0.03, self.poses: 0.03, self.offsets: 0.002,
+                 self.shift: 0.0005 * side}  # fmt: skip
+        if self.options.refine_cameras:
+            stages[1][1].append(self.shift)
+            stages[2][1].append(self.shift)
         last: dict[str, float] = {}
         for stage, ((name, unknowns), steps) in enumerate(zip(stages, self.options.steps, strict=True)):
             if stage == 2 and self.silhouettes is None:
                 continue
-            groups = [{"params": [u], "lr": rates[id(u)]} for u in unknowns]
+            groups = [{"params": [u], "lr": rates[u]} for u in unknowns]
             optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99))
             schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, _warm_cosine(steps))
             bar = tqdm(range(steps), desc=f"fit {name}", unit="step", disable=not progress, leave=False)
@@ -245,7 +256,9 @@ class BodyFitter:
         for c in range(len(self.cameras)):
             miss = (self.project(c, body.landmarks)[0] - self.image[c]).norm(dim=-1)
             error.append(torch.where(self.visibility[c] > 0, miss, torch.nan).numpy())
-        return Fit(poses, self.trans.double().numpy(), self.betas.double().numpy(), np.stack(error), losses)
+        return Fit(
+            poses, self.trans.double().numpy(), self.betas.double().numpy(), np.stack(error), self.shift.numpy(), losses
+        )
 
 
 def _mean(values: Tensor, weight: Tensor) -> Tensor:

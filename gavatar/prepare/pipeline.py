@@ -59,9 +59,15 @@ def prepare(
     cameras = [f.camera if known else guess_camera(*f.size, fov) for f in source.footage]
     silhouettes = [prepare_silhouettes(f.masks(), f.size) for f in source.footage]
     landmarks = [f.landmarks for f in source.footage]
+    if options is not None and options.refine_cameras and not known:
+        raise UserError("--refine-cameras is for calibrated cameras, but this camera is unknown: leave it out")
     fit = BodyFitter(data, cameras, landmarks, silhouettes, source.fps, options).run(progress)
     if not known:
         fit, cameras = settle(data, fit, cameras)
+    cameras = [
+        dataclasses.replace(c, cx=c.cx + float(x), cy=c.cy + float(y))
+        for c, (x, y) in zip(cameras, fit.shift, strict=True)
+    ]
     motion = Motion(fit.poses, fit.trans, source.fps, fit.betas, facts.name)
     scores = write_capture(out, source, cameras, data, motion, facts, overwrite, preview, progress)
     return Quality(fit.image_error, scores)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 
 import torch
+
+from gavatar.registry import RASTERIZERS, NoOptions
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.gaussians import Gaussians, Rendering
-
-from gavatar.registry import RASTERIZERS, NoOptions
 
 log = logging.getLogger("gavatar.rasterizers")
 

@@ -301,7 +301,7 @@ def _replay(blender: _Blender, chunks, sums: Tensor, grad: Tensor) -> Tensor:
         alpha = response.clamp(max=ALPHA_MAX)
         front, blended, _ = blender.weights(alpha, before)
         weight = (front * alpha).mul_(blended)
-        features = rows[..., 6:].unbind(-1)
+        features = rows[..., 6:].permute(2, 0, 1).contiguous()
         grads = grad.index_select(1, tiles)[..., None, :].unbind(-1)
         grad_weight = grads[0] * features[0]
         for upstream, feature in zip(grads[1:], features[1:], strict=True):
