@@ -13,7 +13,7 @@ from pathlib import Path
 
 from .errors import UserError
 
-ABI_VERSION = 1
+ABI_VERSION = 2
 LIBRARY = Path(__file__).with_name("_gavatar_native" + {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so"))
 
 _P, _F, _D, _I, _L = ctypes.c_void_p, ctypes.c_float, ctypes.c_double, ctypes.c_int32, ctypes.c_int64
@@ -31,7 +31,7 @@ CameraStruct = _struct(
     ("width", _I), ("height", _I),
 )  # fmt: skip
 OptionsStruct = _struct(
-    "OptionsStruct", ("background", _F * 3), ("transmittance_stop", _F), ("keep", _I), ("fast_exp", _I)
+    "OptionsStruct", ("background", _F * 3), ("transmittance_stop", _F), ("block_stop", _F), ("keep", _I), ("fast", _I)
 )
 ImagesStruct = _struct("ImagesStruct", *((k, _P) for k in ("color", "alpha", "depth", "color8")))
 ReportStruct = _struct(

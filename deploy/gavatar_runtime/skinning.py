@@ -43,3 +43,24 @@ def skin(
         raise IndexError(f"skin: joint_index has entries outside 0..{len(A) - 1}")
     nl.check(code)
     return out
+
+
+def skin_gradients(
+    points: np.ndarray, joint_index: np.ndarray, joint_weight: np.ndarray, A: np.ndarray, grad: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gradients of `skin` by points, (N, 3), and by A, of its shape, from `grad` (N, 3), the gradient by its result.
+
+    float32. Needs the compiled kernel (UserError). The same to the last bit whatever the number of threads.
+    """
+    points, weight, A, grad = (np.ascontiguousarray(x, np.float32) for x in (points, joint_weight, A, grad))
+    index = np.ascontiguousarray(joint_index, np.int32)
+    count, slots = index.shape
+    if points.shape != (count, 3) or weight.shape != (count, slots) or grad.shape != (count, 3):
+        raise ValueError("skin_gradients: shapes do not belong together")
+    grad_points, grad_A = np.empty_like(points), np.empty_like(A)
+    arrays = (x.ctypes.data for x in (points, index, weight, A, grad, grad_points, grad_A))
+    code = nl.library().gv_skin_backward(count, slots, len(A), 4 * A.shape[1], *arrays)
+    if code == -2:
+        raise IndexError(f"skin_gradients: joint_index has entries outside 0..{len(A) - 1}")
+    nl.check(code)
+    return grad_points, grad_A

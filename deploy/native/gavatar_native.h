@@ -12,7 +12,7 @@
 #define GV_API extern "C"
 #endif
 
-#define GV_ABI_VERSION 1
+#define GV_ABI_VERSION 2
 
 struct GvGaussians {
   int64_t count;
@@ -32,9 +32,10 @@ struct GvCamera {
 
 struct GvOptions {
   float background[3];
-  float transmittance_stop;  // 1e-4 is the exact rule; larger stops earlier
+  float transmittance_stop;  // 1e-4, the rule's
+  float block_stop;          // only with `fast`: a 4x4 block ends once no pixel of it lets more through than this
   int32_t keep;              // 1: keep in the frame what gv_backward needs
-  int32_t fast_exp;          // 1: cubic exponential, relative error 6e-4 instead of 6e-7
+  int32_t fast;              // 1: block_stop, and a cubic exponential (relative error 6e-4 instead of 6e-7)
 };
 
 struct GvImages {

@@ -20,6 +20,7 @@
 #include <arm_neon.h>
 #endif
 #define GV_INLINE static inline __attribute__((always_inline))
+#define GV_NOINLINE __attribute__((noinline))  // where copies in every template would only cost compile time
 
 namespace GV_NAMESPACE {
 

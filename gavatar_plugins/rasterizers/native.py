@@ -117,7 +117,7 @@ class _Splat(torch.autograd.Function):
         fields = [None if x is None else x.contiguous() for x in (means, scales, colors, opacities, quaternions)]
         lease = _Lease(owner)
         struct, camera_struct = _struct(fields), nl.camera_struct(camera)
-        options = nl.OptionsStruct((ctypes.c_float * 3)(*background.tolist()), TRANSMITTANCE_STOP, int(keep), 0)
+        options = nl.OptionsStruct((ctypes.c_float * 3)(*background.tolist()), TRANSMITTANCE_STOP, 0, int(keep), 0)
         color = torch.empty((camera.height, camera.width, 3))
         alpha, depth = (torch.empty((camera.height, camera.width)) for _ in range(2))
         images = nl.ImagesStruct(_pointer(color), _pointer(alpha), _pointer(depth), None)

@@ -1,0 +1,429 @@
+"""The compiled kernel: bindings, threads, instruction sets, skinning. Agreement with the other rasterizers on all kinds
+of scenes stands in test_rasterizers.py; here is what only the kernel can get wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from splat_scenes import FIELDS, as_numpy, as_torch, body_camera, body_scene, map_fields, random_scene, simple_camera
+
+from gavatar.skinning import dense_weights
+from gavatar.skinning import skin as torch_skin
+from gavatar_plugins.rasterizers.native import NativeRasterizer as Trainer
+from gavatar_plugins.rasterizers.native import NativeRasterizerConfig
+from gavatar_plugins.rasterizers.torch_tiles import TorchRasterizer, TorchRasterizerConfig
+from gavatar_runtime import kinematics
+from gavatar_runtime import native_library as nl
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.gaussians import Gaussians
+from gavatar_runtime.rasterizers.native import NativeConfig
+from gavatar_runtime.rasterizers.native import NativeRasterizer as Player
+from gavatar_runtime.skinning import skin, skin_gradients
+
+ROOT = Path(__file__).resolve().parents[1]
+built = pytest.mark.skipif(not nl.available()[0], reason=f"native kernel: {nl.available()[1]}")
+pytestmark = built
+
+# float32 sums of some hundred terms of order one, each with the kernel's relative error of 6e-7
+IMAGE = 2e-5
+# the same for gradients, whose terms cancel; relative to the gradient's norm
+GRADIENT = 1e-4
+
+
+@pytest.fixture(autouse=True)
+def _defaults_afterwards():
+    yield
+    nl.set_threads(0)
+    nl.use_instruction_set(None)
+
+
+def images(rendering) -> list[np.ndarray]:
+    values = (rendering.color, rendering.alpha, rendering.depth)
+    return [x.detach().numpy().copy() if torch.is_tensor(x) else x.copy() for x in values]
+
+
+def loss_of(rendering, seed: int = 0) -> torch.Tensor:
+    """A fixed random linear function of the three images."""
+    generator = torch.Generator().manual_seed(seed)
+    parts = (rendering.color, rendering.alpha, rendering.depth)
+    return sum((torch.rand(x.shape, generator=generator, dtype=torch.float64).to(x.dtype) * x).sum() for x in parts)
+
+
+def gradients(rasterizer, scene: Gaussians, camera, dtype=torch.float32, background=(0.2, 0.4, 0.9)) -> dict:
+    """By each field and the background, of `loss_of`; and the Rendering under 'rendering'."""
+    tensors = map_fields(as_torch(scene, dtype), lambda x: x.requires_grad_())
+    background = torch.tensor(background, dtype=dtype, requires_grad=True)
+    rendering = rasterizer(tensors, camera, background)
+    loss_of(rendering).backward()
+    named = {name: getattr(tensors, name) for name in FIELDS} | {"background": background}
+    return {k: v.grad.numpy() for k, v in named.items() if v is not None} | {"rendering": rendering}
+
+
+def relative(a, b) -> float:
+    return float(np.linalg.norm(a - b) / max(np.linalg.norm(b), 1e-12))
+
+
+def reference() -> TorchRasterizer:
+    return TorchRasterizer(TorchRasterizerConfig())
+
+
+GENERAL = {"isotropic": False, "opacity": True}
+
+
+# Agreement
+
+
+@pytest.mark.parametrize("isa", nl.instruction_sets() if nl.available()[0] else [])
+@pytest.mark.parametrize("kind", [{}, {"opacity": True}, {"isotropic": False}, GENERAL])
+def test_every_instruction_set_agrees_with_float64(isa, kind):
+    nl.use_instruction_set(isa)
+    assert nl.instruction_set() == isa
+    scene, camera = as_numpy(random_scene(3, 150, **kind)), simple_camera(75, 51, cx=30.0)
+    mine = gradients(Trainer(), scene, camera)
+    exact = gradients(reference(), scene, camera, torch.float64)
+    for a, b in zip(images(mine.pop("rendering")), images(exact.pop("rendering")), strict=True):
+        np.testing.assert_allclose(a, b, atol=3 * IMAGE)  # depth reaches 3 m
+    for name in exact:
+        assert relative(mine[name], exact[name]) < GRADIENT, name
+
+
+def test_player_and_trainer_draw_the_same_to_the_last_bit():
+    scene, camera = as_numpy(random_scene(5, 200, **GENERAL)), simple_camera(90, 70)
+    played = images(Player().render(scene, camera, (0.1, 0.5, 1.0)))
+    trained = images(Trainer()(as_torch(scene), camera, (0.1, 0.5, 1.0)))
+    for a, b in zip(played, trained, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_the_fast_switch_stays_within_70_db():
+    scene, camera = as_numpy(body_scene(20000)), body_camera(256, 256)
+    exact = np.array(Player().render(scene, camera).color)
+    error = Player(NativeConfig(fast=True)).render(scene, camera).color - exact
+    assert 0 < np.mean(error**2) < 1e-7  # 70 dB; measured 81 to 84 dB on body scenes
+
+
+def test_equal_depths_are_drawn_in_order_of_index():
+    n = 3000  # more than a chunk: the bucket that holds them all is split
+    rng = np.random.default_rng(0)
+    means = np.stack([rng.uniform(-0.02, 0.02, n), rng.uniform(-0.02, 0.02, n), np.full(n, 2.0)], 1)
+    scene = Gaussians(means, np.full(n, 0.02), rng.random((n, 3)), rng.uniform(0.005, 0.05, n))
+    camera = simple_camera(64, 64)
+    mine, exact = (
+        Player().render(as_numpy(scene), camera),
+        reference()(as_torch(as_numpy(scene), torch.float64), camera),
+    )
+    np.testing.assert_allclose(mine.color, exact.color.numpy(), atol=IMAGE)
+
+
+def test_indices_beyond_a_million_are_exact():
+    few = as_numpy(random_scene(2, 400))
+    n = (1 << 20) + 5000  # from here on, entries hold coarser ranges of blocks
+    means = np.full((n, 3), -1, np.float32)  # behind the camera
+    scales, colors = np.full(n, 0.01, np.float32), np.zeros((n, 3), np.float32)
+    means[-400:], scales[-400:], colors[-400:] = few.means, few.scales, few.colors
+    camera, player = simple_camera(80, 60), Player()
+    alone = images(player.render(few, camera))
+    for a, b in zip(images(player.render(Gaussians(means, scales, colors), camera)), alone, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+# Threads and processes
+
+
+@pytest.mark.parametrize("kind", [{}, GENERAL])
+def test_the_number_of_threads_changes_no_bit(kind):
+    scene, camera = as_numpy(random_scene(7, 9000, scale=0.01, **kind)), simple_camera(200, 130)
+    first = None
+    for count in (1, 2, 3, 7):
+        result = gradients(Trainer(NativeRasterizerConfig(threads=count)), scene, camera)
+        assert nl.threads() == count
+        everything = [*images(result.pop("rendering")), *result.values()]
+        first = first or everything
+        for a, b in zip(everything[:-1], first[:-1], strict=True):  # the background's gradient is torch's sum
+            np.testing.assert_array_equal(a, b)
+
+
+def test_threads_default_to_the_cores_of_the_process():
+    nl.set_threads(0)
+    assert nl.threads() == len(os.sched_getaffinity(0))
+    with pytest.raises(UserError, match=r"rasterizer\.threads"):
+        Player(NativeConfig(threads=-1))
+
+
+def test_concurrent_callers_get_their_own_pictures():
+    scenes = [as_numpy(random_scene(seed, 500, **GENERAL)) for seed in range(4)]
+    camera = simple_camera(100, 80)
+    alone = [np.array(Player().render(scene, camera).color) for scene in scenes]
+    wrong = []
+
+    def draw(k: int) -> None:
+        player = Player()
+        for _ in range(20):
+            if not np.array_equal(player.render(scenes[k], camera).color, alone[k]):
+                wrong.append(k)
+
+    threads = [threading.Thread(target=draw, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for turn in range(10):  # a pool that changes size under way
+        nl.set_threads(1 + turn % 3)
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_forked_child_draws_too():
+    script = """
+import os, sys
+import numpy as np
+sys.path.insert(0, sys.argv[1])
+from splat_scenes import as_numpy, random_scene, simple_camera
+from gavatar_runtime.rasterizers.native import NativeConfig, NativeRasterizer
+player, camera = NativeRasterizer(NativeConfig(threads=2)), simple_camera(128, 96)
+scene = as_numpy(random_scene(0, 20000, scale=0.01))
+before = np.array(player.render(scene, camera).color)
+child = os.fork()
+same = np.array_equal(player.render(scene, camera).color, before)
+if child == 0:
+    os._exit(0 if same else 1)
+sys.exit(0 if same and os.waitpid(child, 0)[1] == 0 else 1)
+"""
+    done = subprocess.run([sys.executable, "-c", script, str(ROOT / "tests")], timeout=60, env=child_environment())
+    assert done.returncode == 0
+
+
+def child_environment(**more: str) -> dict[str, str]:
+    path = os.pathsep.join([str(ROOT), str(ROOT / "deploy"), os.environ.get("PYTHONPATH", "")])
+    return {**os.environ, "PYTHONPATH": path, **more}
+
+
+def test_denormals_are_left_alone():
+    script = """
+import numpy as np
+from gavatar_runtime.camera import Camera
+from gavatar_runtime.gaussians import Gaussians
+from gavatar_runtime.rasterizers.native import NativeRasterizer
+one = np.ones((1, 3), np.float32)
+NativeRasterizer().render(Gaussians(one, one[:, 0], one), Camera(8, 8, 8.0, 8.0, 4.0, 4.0, np.eye(4)))
+tiny = np.full(100, np.finfo(np.float32).tiny)
+assert (tiny / 2 > 0).all() and (tiny / 2 * 2 == tiny).all()
+"""
+    assert subprocess.run([sys.executable, "-c", script], timeout=60, env=child_environment()).returncode == 0
+
+
+def test_without_the_library_it_says_why_and_skinning_goes_on():
+    script = """
+import numpy as np
+from gavatar_runtime import native_library as nl
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.rasterizers.native import NativeRasterizer, available
+from gavatar_runtime.skinning import skin
+assert available() == (False, "it is switched off by GAVATAR_NATIVE=0"), available()
+try:
+    NativeRasterizer()
+except UserError as error:
+    assert "GAVATAR_NATIVE=0" in str(error) and "numpy" in str(error)
+else:
+    raise SystemExit("no UserError")
+points = np.ones((5, 3), np.float32)
+moved = skin(points, np.zeros((5, 1), np.int32), np.ones((5, 1), np.float32), np.eye(4, dtype=np.float32)[None])
+assert np.array_equal(moved, points)
+"""
+    environment = child_environment(GAVATAR_NATIVE="0")
+    assert subprocess.run([sys.executable, "-c", script], timeout=60, env=environment).returncode == 0
+
+
+def test_an_unknown_instruction_set_is_named():
+    with pytest.raises(UserError, match="pentium"):
+        nl.use_instruction_set("pentium")
+
+
+# The player's binding
+
+
+def test_buffers_are_used_again_for_the_same_size():
+    player, camera = Player(), simple_camera(40, 30)
+    first = player.render(as_numpy(random_scene(0)), camera).color
+    kept = first.copy()
+    second = player.render(as_numpy(random_scene(1)), camera).color
+    assert second is first
+    assert not np.array_equal(kept, second)
+    assert player.render(as_numpy(random_scene(1)), simple_camera(30, 40)).color.shape == (40, 30, 3)
+
+
+def test_bytes_are_the_rounded_picture():
+    player, scene, camera = Player(), as_numpy(random_scene(0, 300)), simple_camera(61, 47)
+    exact = np.clip(np.array(player.render(scene, camera, (0.2, 1.5, -1)).color), 0, 1)
+    np.testing.assert_array_equal(
+        player.render_uint8(scene, camera, (0.2, 1.5, -1)), (exact * 255 + 0.5).astype(np.uint8)
+    )
+    assert set(player.stage_seconds) == {"project", "sort", "blend"}
+
+
+def test_depth_can_be_left_out():
+    player = Player(NativeConfig(depth=False))
+    assert player.render(as_numpy(random_scene(0)), simple_camera(20, 20)).depth is None
+
+
+@pytest.mark.parametrize("size", [(1, 1), (33, 1), (4096, 4096)])
+def test_no_gaussians_leave_the_background(size):
+    empty = Gaussians(np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros((0, 3), np.float32))
+    rendering = Player().render(empty, simple_camera(*size), (0.1, 0.2, 0.3))
+    assert rendering.color.shape == (size[1], size[0], 3)
+    assert (rendering.color == np.float32([0.1, 0.2, 0.3])).all()
+    assert not rendering.alpha.any()
+    assert not rendering.depth.any()
+
+
+@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_bad_value_drops_its_gaussian_and_nothing_else(field, value):
+    scene, camera = as_numpy(random_scene(4, 80, **GENERAL)), simple_camera(60, 40)
+    clean = Gaussians(**{name: np.delete(getattr(scene, name), 17, 0) for name in FIELDS})
+    getattr(scene, field)[17] = value
+    rendering = Player().render(scene, camera)
+    assert rendering.dropped == 1
+    result = gradients(Trainer(), scene, camera)
+    np.testing.assert_array_equal(rendering.color, Player().render(clean, camera).color)
+    for name in FIELDS:
+        assert np.isfinite(result[name]).all()
+        assert not result[name][17].any()
+
+
+def test_shapes_that_do_not_belong_together_are_refused():
+    scene = as_numpy(random_scene(0, 10))
+    scene.colors = scene.colors[:9]
+    with pytest.raises(ValueError, match=r"gaussians\.colors"):
+        Player().render(scene, simple_camera(8, 8))
+    with pytest.raises(ValueError, match=r"gaussians\.colors"):
+        Trainer()(as_torch(scene), simple_camera(8, 8))
+
+
+@pytest.mark.parametrize("change", [{"width": 0}, {"fx": 0.0}, {"cx": float("nan")}])
+def test_a_camera_that_is_none_is_refused(change):
+    camera = dataclasses.replace(simple_camera(8, 8), **change)
+    with pytest.raises(UserError, match="camera"):
+        Player().render(as_numpy(random_scene(0, 10)), camera)
+
+
+# The training binding
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float16])
+def test_other_dtypes_are_sent_to_torch(dtype):
+    with pytest.raises(UserError, match="rasterizer=torch"):
+        Trainer()(as_torch(random_scene(0, 10), dtype), simple_camera(8, 8))
+
+
+def test_forwards_of_a_batch_may_go_backward_in_any_order_and_twice():
+    camera, rasterizer = simple_camera(50, 40), Trainer()
+    scenes = [as_numpy(random_scene(seed, 80)) for seed in range(3)]
+    alone = [gradients(Trainer(), scene, camera)["means"] for scene in scenes]
+    tensors = [map_fields(as_torch(scene), lambda x: x.requires_grad_()) for scene in scenes]
+    losses = [loss_of(rasterizer(t, camera, (0.2, 0.4, 0.9))) for t in tensors]
+    for k in (2, 0, 1, 0):
+        (again,) = torch.autograd.grad(losses[k], [tensors[k].means], retain_graph=True)
+        np.testing.assert_array_equal(again.numpy(), alone[k])
+
+
+def test_frames_return_to_the_rasterizer():
+    rasterizer, camera, scene = Trainer(), simple_camera(30, 30), as_torch(random_scene(0, 20))
+    scene.means.requires_grad_()
+    for _ in range(3):
+        rasterizer(scene, camera).color.sum().backward()
+    with torch.no_grad():
+        assert not rasterizer(scene, camera).color.requires_grad
+    assert len(rasterizer._spare) == 1
+
+
+def test_arrays_need_not_be_contiguous():
+    scene, camera = as_torch(random_scene(0, 50)), simple_camera(40, 40)
+    plain = Trainer()(scene, camera).color
+    scene.means = scene.means.T.contiguous().T
+    assert not scene.means.is_contiguous()
+    torch.testing.assert_close(Trainer()(scene, camera).color, plain, rtol=0, atol=0)
+
+
+def test_images_without_gradient_may_be_ignored():
+    scene, camera = as_numpy(random_scene(0, 60, opacity=True)), simple_camera(40, 30)
+    for pick in ("color", "alpha", "depth"):
+        mine = map_fields(as_torch(scene), lambda x: x.requires_grad_())
+        exact = map_fields(as_torch(scene, torch.float64), lambda x: x.requires_grad_())
+        getattr(Trainer()(mine, camera), pick).square().sum().backward()
+        getattr(reference()(exact, camera), pick).square().sum().backward()
+        for name in ("means", "scales", "opacities"):
+            assert relative(getattr(mine, name).grad.numpy(), getattr(exact, name).grad.numpy()) < GRADIENT
+
+
+# Skinning
+
+
+def skinning_problem(n: int, slots: int, rows: int, seed: int = 0):
+    rng = np.random.default_rng(seed)
+    weight = rng.random((n, slots)).astype(np.float32)
+    weight /= weight.sum(1, keepdims=True)
+    A = rng.normal(size=(24, rows, 4)).astype(np.float32)
+    points = rng.normal(size=(n, 3)).astype(np.float32)
+    return points, rng.integers(0, 24, (n, slots)).astype(np.int32), weight, A
+
+
+@pytest.mark.parametrize("n", [0, 1, 257, 20000])
+@pytest.mark.parametrize("slots", [1, 4, 7])
+@pytest.mark.parametrize("rows", [3, 4])
+def test_skinning_agrees_with_numpy(n, slots, rows):
+    points, index, weight, A = skinning_problem(n, slots, rows)
+    expected = kinematics.skin(points.astype(np.float64), index, weight, A.astype(np.float64))
+    np.testing.assert_allclose(skin(points, index, weight, A), expected, atol=1e-5)  # a dozen float32 terms of order 1
+    out = np.empty((n, 3), np.float32)
+    assert skin(points, index.astype(np.int64), weight.astype(np.float64), A, out=out) is out
+    np.testing.assert_allclose(out, expected, atol=1e-5)
+
+
+def test_skinning_keeps_float64():
+    points, index, weight, A = skinning_problem(10, 4, 4)
+    assert skin(points.astype(np.float64), index, weight, A.astype(np.float64)).dtype == np.float64
+
+
+@pytest.mark.parametrize("bad", [-1, 24])
+def test_skinning_refuses_a_joint_that_is_not_there(bad):
+    points, index, weight, A = skinning_problem(9000, 4, 4)
+    index[8765, 2] = bad
+    with pytest.raises(IndexError, match=r"0\.\.23"):
+        skin(points, index, weight, A)
+
+
+@pytest.mark.parametrize("slots", [1, 4, 7])
+def test_skinning_gradients_agree_with_torch(slots):
+    points, index, weight, A = skinning_problem(9000, slots, 3)
+    upstream = np.random.default_rng(1).normal(size=points.shape).astype(np.float32)
+    p, T = (torch.tensor(x.astype(np.float64), requires_grad=True) for x in (points, A))
+    dense = torch.as_tensor(dense_weights(index, weight.astype(np.float64), 24))
+    torch_skin(p, dense, T).backward(torch.as_tensor(upstream, dtype=torch.float64))
+    by_points, by_A = skin_gradients(points, index, weight, A, upstream)
+    assert relative(by_points, p.grad.numpy()) < 1e-6  # single sums in float32
+    assert relative(by_A, T.grad.numpy()) < 1e-5  # thousands of float32 terms a sum
+    nl.set_threads(1)
+    np.testing.assert_array_equal(skin_gradients(points, index, weight, A, upstream)[1], by_A)
+
+
+# Building
+
+
+def test_a_build_without_a_compiler_fails_with_the_reason(monkeypatch, tmp_path):
+    pytest.importorskip("setuptools", minversion="77")
+    monkeypatch.syspath_prepend(str(ROOT))
+    import setup
+
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CXX", raising=False)
+    with pytest.raises(OSError, match="no C\\+\\+ compiler"):
+        setup.compile_library(tmp_path / "lib.so")
