@@ -143,7 +143,8 @@ def test_the_baseline_leaves_the_motion_alone_and_frames_outside_training_are_ne
 
 
 def test_a_static_avatar_has_one_stage(capture, tmp_path):
-    run(capture, tmp_path / "r", "encoder=none")
+    settings = [o for o in SMALL if not o.startswith("encoder")]
+    train(compose_config([f"capture={capture}", f"out={tmp_path / 'r'}", *settings, "encoder=none"]), tmp_path / "r")
     assert not (tmp_path / "r/stage2.pt").exists()
     assert open_run(tmp_path / "r").avatar.encoder is None
 
@@ -179,8 +180,8 @@ def test_training_on_one_frame_works(tmp_path):
         ("stage1.levels=[{until:1.0,uv:64,image:0}]", "image within"),
         ("stage1.batch=0", "batch at least 1"),
         ("motion.start=0.9", "start <= end"),
-        ("losses={l1:-1}", "l1"),
-        ("losses={l2:1}", r"unknown loss 'l2'.*did you mean 'l1'"),
+        ("losses.l1=-1", "l1"),
+        ("+losses.l2=1", r"unknown loss 'l2'.*did you mean 'l1'"),
     ],
 )
 def test_a_wrong_setting_is_found_before_any_work(override, message):

@@ -39,7 +39,7 @@ def project(gaussians: Gaussians, camera: Camera, dtype=np.float32) -> Splats:
     means, scales, colors = (np.asarray(a, dtype) for a in (gaussians.means, gaussians.scales, gaussians.colors))
     opacity = np.ones(N, dtype) if gaussians.opacities is None else np.asarray(gaussians.opacities, dtype)
     good = np.isfinite(means).all(1) & np.isfinite(colors).all(1) & np.isfinite(opacity)
-    good &= (np.isfinite(scales) & (scales >= 0)).reshape(N, scales[0:1].size if N else 1).all(1)
+    good &= (np.isfinite(scales) & (scales >= 0)).all(tuple(range(1, scales.ndim)))
     if gaussians.quaternions is not None:
         good &= np.isfinite(np.asarray(gaussians.quaternions)).all(1)
     R, t = camera.T_camera_world[:3, :3].astype(dtype), camera.T_camera_world[:3, 3].astype(dtype)
@@ -106,7 +106,7 @@ def blend(splats: Splats, tile: np.ndarray, splat: np.ndarray, camera: Camera, b
     color = np.zeros((camera.height, camera.width, 3), dtype)
     depth, left = np.zeros((camera.height, camera.width), dtype), np.ones((camera.height, camera.width), dtype)
     tiles, starts = np.unique(tile, return_index=True)
-    for number, members in zip(tiles, np.split(splat, starts[1:]), strict=True):
+    for number, members in zip(tiles, np.split(splat, starts[1:]) if len(tiles) else (), strict=True):
         top, side = divmod(int(number), across)
         rows = slice(top * TILE, min((top + 1) * TILE, camera.height))
         cols = slice(side * TILE, min((side + 1) * TILE, camera.width))
