@@ -187,10 +187,11 @@ def _column(view: View, run: Run, evaluators: dict[str, Evaluator]) -> np.ndarra
 
 
 def _captioned(image: np.ndarray, text: str) -> np.ndarray:
-    image = np.ascontiguousarray(np.clip(image, 0, 1))
-    shade = 0.0 if image[:16].mean() > 0.5 else 1.0
-    cv2.putText(image, text, (6, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (shade,) * 3, 1, cv2.LINE_AA)
-    return image
+    """(H, W, 3) in [0, 1] with `text` in its upper left corner."""
+    pixels = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    shade = 0 if pixels[:16].mean() > 127 else 255
+    cv2.putText(pixels, text, (6, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (shade,) * 3, 1, cv2.LINE_AA)
+    return pixels.astype(np.float32) / 255
 
 
 def _video_strip(video: Path, width: int) -> np.ndarray:
