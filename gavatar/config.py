@@ -14,7 +14,8 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from gavatar_runtime.errors import UserError
 
 from .avatar import AvatarConfig
-from .registry import BODIES, DECODERS, ENCODERS, LOSSES, RASTERIZERS, fill_config_store, load_plugins
+from .losses import loss_config
+from .registry import BODIES, DECODERS, ENCODERS, RASTERIZERS, fill_config_store, load_plugins
 
 
 @dataclasses.dataclass
@@ -120,7 +121,7 @@ def check(config: DictConfig) -> TrainConfig:
         node = plain[registry.group]
         registry.options(node["name"], node)
     for name, value in typed.losses.items():
-        LOSSES.options(name, value if isinstance(value, dict) else {"weight": value})
+        loss_config(name, value)
     if typed.background not in ("random", "white", "black"):
         raise UserError(f"background must be random, white or black, not '{typed.background}'")
     if not 0 <= typed.motion.start <= typed.motion.end <= 1:

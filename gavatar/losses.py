@@ -97,7 +97,7 @@ class LossComposer:
         load_plugins()
         self.losses: dict[str, Loss] = {}
         for name, value in losses.items():
-            config = _config(str(name), value)
+            config = loss_config(str(name), value)
             if config.weight > 0:
                 self.losses[str(name)] = LOSSES[name].factory(config)
         if not self.losses:
@@ -121,7 +121,7 @@ class LossComposer:
         return total, dict(zip(values, numbers, strict=True))
 
 
-def _config(name: str, value: float | Mapping[str, Any] | None) -> LossConfig:
+def loss_config(name: str, value: float | Mapping[str, Any] | None) -> LossConfig:
     """The filled options of loss `name`, checked."""
     if isinstance(value, Mapping) or value is None:
         config = LOSSES.options(name, value)

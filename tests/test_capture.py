@@ -7,12 +7,12 @@ import json
 import cv2
 import numpy as np
 import pytest
-from gavatar_runtime.errors import UserError
 from tiny_capture import demo, write_tiny_capture
 
 from gavatar.build import open_capture
 from gavatar.capture import View, read_capture
 from gavatar.registry import load_plugins
+from gavatar_runtime.errors import UserError
 
 
 @pytest.fixture
@@ -113,14 +113,18 @@ FAULTS = {
 }  # fmt: skip
 
 
+def read_all(tiny):
+    capture = read_capture(tiny)
+    capture.check()
+    capture.load(capture.views("train")[0])
+
+
 @pytest.mark.parametrize("fault", FAULTS)
 def test_each_fault_is_one_sentence_naming_the_file(tiny, fault):
     breaks, *words = FAULTS[fault]
     breaks(tiny)
     with pytest.raises(UserError) as error:
-        capture = read_capture(tiny)
-        capture.check()
-        capture.load(capture.views("train")[0])
+        read_all(tiny)
     message = str(error.value)
     assert "\n" not in message
     for word in words:

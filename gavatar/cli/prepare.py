@@ -47,7 +47,7 @@ def parser() -> argparse.ArgumentParser:
                         "novel views (the body is fitted to all cameras)")  # fmt: skip
     parser.add_argument("--fov", type=float, metavar="DEG", help="field of view of an unknown camera over the longer "
                         "side, degrees (default: 40)")  # fmt: skip
-    parser.add_argument("--refine-cameras", action="store_true", 
+    parser.add_argument("--refine-cameras", action="store_true",
                         help="let calibrated principal points move a little, where the cameras disagree")  # fmt: skip
     parser.add_argument("--height", type=float, metavar="M", help="the person's height in metres, if known")
     parser.add_argument("--body", default="free", help="body to fit (default: free)")

@@ -1,0 +1,30 @@
+"""The player's NumPy rasterizer, for evaluation."""
+
+from __future__ import annotations
+
+import torch
+
+from gavatar.registry import RASTERIZERS, NoOptions
+from gavatar_runtime.camera import Camera
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.gaussians import Gaussians, Rendering
+from gavatar_runtime.rasterizers.numpy import render
+
+
+@RASTERIZERS.register("numpy", summary="the player's NumPy reference, forward only (for evaluation)")
+class NumpyTensors:
+    """Adapts the player's reference to CPU tensors. Raises UserError where a gradient would be needed."""
+
+    differentiable = False
+
+    def __init__(self, config: NoOptions | None = None):
+        self.config = config
+
+    def __call__(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
+        fields = [gaussians.means, gaussians.scales, gaussians.colors, gaussians.opacities, gaussians.quaternions]
+        if torch.is_grad_enabled() and any(f is not None and f.requires_grad for f in fields):
+            raise UserError("rasterizer=numpy has no gradients: train with rasterizer=auto or rasterizer=torch")
+        arrays = [None if f is None else f.detach().cpu().numpy() for f in fields]
+        dtype = arrays[0].dtype.type
+        out = render(Gaussians(*arrays), camera, torch.as_tensor(background).detach().cpu().numpy(), dtype)
+        return Rendering(*(torch.from_numpy(a) for a in (out.color, out.alpha, out.depth)), out.dropped)
