@@ -482,9 +482,13 @@ GV_API int32_t gv_skin(int64_t count, int32_t slots, int32_t joints, int32_t str
   int32_t code = guarded([&](Engine& e) {
     const Kernels& kernels = e.kernels();
     e.prepare();
+    std::vector<float> columns((size_t)joints * 16, 0.f);
+    for (int32_t j = 0; j < joints; j++)
+      for (int r = 0; r < 3; r++)
+        for (int c = 0; c < 4; c++) columns[16 * j + 4 * c + r] = transforms[(size_t)stride * j + 4 * r + c];
     auto piece = [&](uint32_t i, int) {
-      if (!kernels.skin(i * SKIN_PIECE, std::min(count, (int64_t)(i + 1) * SKIN_PIECE), slots, joints, stride, points,
-                        index, weight, transforms, out))
+      if (!kernels.skin(i * SKIN_PIECE, std::min(count, (int64_t)(i + 1) * SKIN_PIECE), slots, joints, points, index,
+                        weight, columns.data(), out))
         sound = false;
     };
     e.pool->for_each(skin_pieces(count), piece);

@@ -125,8 +125,8 @@ struct Kernels {
   // Gradients of Gaussians [begin, end) from their sums, which are cleared.
   void (*backward_project)(const Projection*, Sums*, MoreSums*, const GvGradients*, int64_t begin, int64_t end);
   // False when an index is not below `joints`.
-  bool (*skin)(int64_t begin, int64_t end, int32_t slots, int32_t joints, int32_t stride, const float* points,
-               const int32_t* index, const float* weight, const float* transforms, float* out);
+  bool (*skin)(int64_t begin, int64_t end, int32_t slots, int32_t joints, const float* points, const int32_t* index,
+               const float* weight, const float* columns, float* out);
   bool (*skin_backward)(int64_t begin, int64_t end, int32_t slots, int32_t joints, int32_t stride, const float* points,
                         const int32_t* index, const float* weight, const float* transforms, const float* grad_out,
                         float* grad_points, float* grad_transforms);

@@ -80,23 +80,27 @@ GV_INLINE V reciprocal(V x) {
 
 // 2^(8 x) for x in [-1, 0]: a polynomial for 2^x and three squarings, which needs no integer arithmetic.
 // Relative error 6e-7 (degree 5) or 6e-4 (degree 3). Lanes outside the range hold rubbish that the caller masks.
-template <bool FAST>
-GV_INLINE V exp2_of_8x(V x) {
-  V p;
+// N values go step by step together: one alone is a chain of eight dependent operations, and a processor's window is
+// too short to find the next one behind it.
+template <bool FAST, int N>
+GV_INLINE void exp2_of_8x(const V (&x)[N], V (&p)[N]) {
+#define GV_STEP(expression) \
+  for (int i = 0; i < N; i++) p[i] = expression
   if (FAST) {
-    p = x * 0.03901225973f + 0.2300703684f;
-    p = p * x + 0.6910207187f;
-    p = p * x + 0.9999252207f;
+    GV_STEP(x[i] * 0.03901225973f + 0.2300703684f);
+    GV_STEP(p[i] * x[i] + 0.6910207187f);
+    GV_STEP(p[i] * x[i] + 0.9999252207f);
   } else {
-    p = x * 0.0009387883195f + 0.009188611833f;
-    p = p * x + 0.05527972285f;
-    p = p * x + 0.2401721894f;
-    p = p * x + 0.6931422526f;
-    p = p * x + 0.9999999251f;
+    GV_STEP(x[i] * 0.0009387883195f + 0.009188611833f);
+    GV_STEP(p[i] * x[i] + 0.05527972285f);
+    GV_STEP(p[i] * x[i] + 0.2401721894f);
+    GV_STEP(p[i] * x[i] + 0.6931422526f);
+    GV_STEP(p[i] * x[i] + 0.9999999251f);
   }
-  p = p * p;
-  p = p * p;
-  return p * p;
+  GV_STEP(p[i] * p[i]);
+  GV_STEP(p[i] * p[i]);
+  GV_STEP(p[i] * p[i]);
+#undef GV_STEP
 }
 
 // ---- transposition of LANES x LANES floats ----------------------------------------------------------------------
