@@ -21,13 +21,13 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 import torch  # noqa: E402
+from splat_scenes import as_numpy, as_torch, body_camera, body_scene, map_fields  # noqa: E402
+
+from gavatar.registry import RASTERIZERS, load_plugins  # noqa: E402
 from gavatar_runtime import native_library as nl  # noqa: E402
 from gavatar_runtime.errors import UserError  # noqa: E402
 from gavatar_runtime.rasterizers import PLAYER_RASTERIZERS  # noqa: E402
 from gavatar_runtime.skinning import skin  # noqa: E402
-from splat_scenes import as_numpy, as_torch, body_camera, body_scene, map_fields  # noqa: E402
-
-from gavatar.registry import RASTERIZERS, load_plugins  # noqa: E402
 
 COUNTS = (12_500, 50_000, 200_000, 800_000)
 SIZES = ((256, 256), (512, 512), (1024, 1024), (1920, 1080))

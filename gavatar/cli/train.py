@@ -40,7 +40,7 @@ def check_overrides(arguments: list[str]) -> None:
     conf = importlib.resources.files("gavatar.conf")
     groups = {r.group: r for r in (BODIES, CAPTURES, DECODERS, ENCODERS, RASTERIZERS)}
     try:
-        parsed = OverridesParser.create().parse_overrides([a for a in arguments if not a.startswith("-")])
+        parsed = OverridesParser.create().parse_overrides([a for a in arguments if not a.startswith(("-", "hydra."))])
         for job in BasicSweeper.split_arguments(parsed, None)[0]:
             for override in job:
                 group, _, name = override.partition("=")
@@ -49,6 +49,20 @@ def check_overrides(arguments: list[str]) -> None:
             check(compose_config(job))
     except (HydraException, OmegaConfBaseException) as error:
         raise UserError(_one_sentence(error)) from None
+
+
+def _multirun(arguments: list[str]) -> list[str]:
+    """The flag first, wherever it stood, and sweep directories named by what differs between the jobs alone."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
+
+    rest = [a for a in arguments if a not in ("-m", "--multirun")]
+    try:
+        parsed = OverridesParser.create().parse_overrides([a for a in rest if not a.startswith("-")])
+    except HydraException as error:
+        raise UserError(_one_sentence(error)) from None
+    common = ",".join(o.get_key_element().lstrip("+~") for o in parsed if not o.is_sweep_override())
+    return ["--multirun", f"hydra.job.config.override_dirname.exclude_keys=[{common}]", *rest]
 
 
 def _one_sentence(error: Exception) -> str:
@@ -100,6 +114,8 @@ def _train(arguments: list[str]) -> int:
     from ..config import register_configs
 
     register_configs()
+    if {"-m", "--multirun"} & set(arguments):
+        arguments = _multirun(arguments)
     if not any(a.startswith("-") and a not in ("-m", "--multirun") for a in arguments):
         check_overrides(arguments)
     failures: list[UserError] = []

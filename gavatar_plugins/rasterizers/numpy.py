@@ -1,8 +1,6 @@
-"""The player's NumPy rasterizer in evaluation: what the player draws, from torch tensors."""
+"""The player's NumPy rasterizer, for evaluation."""
 
 from __future__ import annotations
-
-import dataclasses
 
 import torch
 
@@ -13,13 +11,9 @@ from gavatar_runtime.gaussians import Gaussians, Rendering
 from gavatar_runtime.rasterizers.numpy import render
 
 
-@RASTERIZERS.register("numpy", summary="exact, the player's own NumPy rasterizer; evaluation only, no gradients")
-class NumpyTensorRasterizer:
-    """Exact splatting of torch tensors by `gavatar_runtime.rasterizers.numpy`, in their dtype.
-
-    Follows the contract that `torch` states, without gradients: raises UserError where one would be needed. Tensors of
-    another device travel to the CPU and back.
-    """
+@RASTERIZERS.register("numpy", summary="the player's NumPy reference, forward only (for evaluation)")
+class NumpyTensors:
+    """Adapts the player's reference to CPU tensors. Raises UserError where a gradient would be needed."""
 
     differentiable = False
 
@@ -27,16 +21,10 @@ class NumpyTensorRasterizer:
         self.config = config
 
     def __call__(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
-        background = torch.as_tensor(background)
-        inputs = {**vars(gaussians), "background": background}
-        for name, value in inputs.items():
-            if value is not None and value.requires_grad and torch.is_grad_enabled():
-                raise UserError(f"rasterizer=numpy has no gradients and '{name}' asks for one; use rasterizer=torch")
-        arrays = {name: None if value is None else value.detach().cpu().numpy() for name, value in inputs.items()}
-        background = arrays.pop("background")
-        drawn = render(Gaussians(**arrays), camera, background, arrays["means"].dtype.type)
-        images = {name: getattr(drawn, name) for name in ("color", "alpha", "depth")}
-        device = gaussians.means.device
-        return dataclasses.replace(
-            drawn, **{name: torch.from_numpy(image).to(device) for name, image in images.items()}
-        )
+        fields = [gaussians.means, gaussians.scales, gaussians.colors, gaussians.opacities, gaussians.quaternions]
+        if torch.is_grad_enabled() and any(f is not None and f.requires_grad for f in fields):
+            raise UserError("rasterizer=numpy has no gradients: train with rasterizer=auto or rasterizer=torch")
+        arrays = [None if f is None else f.detach().cpu().numpy() for f in fields]
+        dtype = arrays[0].dtype.type
+        out = render(Gaussians(*arrays), camera, torch.as_tensor(background).detach().cpu().numpy(), dtype)
+        return Rendering(*(torch.from_numpy(a) for a in (out.color, out.alpha, out.depth)), out.dropped)

@@ -1,174 +1,172 @@
-"""The player's rasterizer without compiled code: exact to `rules`, NumPy alone, float32 or float64.
-
-A frame is `project`, `sort` and blend (`numpy_tiles`), which can be called and timed one by one.
-"""
+"""The splatting rule in NumPy: the player's plain reference, and what draws where nothing is compiled."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from time import perf_counter
 
 import numpy as np
 
 from ..camera import Camera
-from ..errors import UserError
 from ..gaussians import Gaussians, Rendering
+from ..registry import NoOptions
 from ..rotations import matrix_from_quaternion
 from . import PLAYER_RASTERIZERS
-from .numpy_tiles import Canvas, Splats, TileLists, stable_order
-from .rules import ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS, NEAR
+from .rules import ALPHA_MAX, ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS, NEAR, TRANSMITTANCE_STOP
 
-STAGES = ("project", "sort", "blend")
+TILE = 8  # pixels; small tiles waste few pairs of pixel and Gaussian
+CHUNK = 64  # Gaussians blended at once, so that a saturated tile stops early
 
 
 @dataclasses.dataclass
-class NumpyRasterizerConfig:
-    """dtype: `float32` or `float64`, what the frame is computed in."""
+class Splats:
+    """Gaussians on the image, in (float32 depth, index) order. center: (M, 2) px. conic: (M, 3) inverse covariance
+    xx, xy, yy. extent: (M, 2) px half-sides of the box of {alpha >= ALPHA_MIN}. depth, opacity: (M,). color: (M, 3).
+    dropped: Gaussians with a field that is not finite or a negative scale."""
 
-    dtype: str = "float32"
-
-    def __post_init__(self):
-        if self.dtype not in ("float32", "float64"):
-            raise UserError(f"rasterizer.dtype must be float32 or float64, got '{self.dtype}'")
-
-
-@PLAYER_RASTERIZERS.register("numpy", config=NumpyRasterizerConfig, summary="exact, plain NumPy, nothing compiled")
-class NumpyRasterizer:
-    """Exact splatting of NumPy arrays.
-
-    Contract of every rasterizer of the player: `render(gaussians, camera, background) -> Rendering` follows `rules`
-    and takes arrays of any float type and a background of three numbers in [0, 1]; the next call may fill the same
-    Rendering again. `stage_seconds` holds the wall seconds of `project`, `sort` and `blend` of the last call.
-    `differentiable` is False. Raises UserError for what it cannot do.
-    """
-
-    differentiable = False
-
-    def __init__(self, config: NumpyRasterizerConfig | None = None):
-        self.config = config or NumpyRasterizerConfig()
-        self.stage_seconds: dict[str, float] = {}
-
-    def render(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
-        """The frame in the configured dtype: color (H, W, 3), alpha (H, W), depth (H, W) metres."""
-        self.stage_seconds = dict.fromkeys(STAGES, 0.0)
-        return render(gaussians, camera, background, np.dtype(self.config.dtype), self.stage_seconds)
-
-
-def render(
-    gaussians: Gaussians,
-    camera: Camera,
-    background=(1.0, 1.0, 1.0),
-    dtype=np.float32,
-    stage_seconds: dict[str, float] | None = None,
-) -> Rendering:
-    """The frame in `dtype`. stage_seconds: the seconds of each of `STAGES` are added to it."""
-    clock = [perf_counter()]
-
-    def lap(stage: str) -> None:
-        clock.append(perf_counter())
-        if stage_seconds is not None:
-            stage_seconds[stage] = stage_seconds.get(stage, 0.0) + clock[-1] - clock[-2]
-
-    splats = project(gaussians, camera, dtype)
-    lap("project")
-    splats = sort(splats)
-    lists, canvas = TileLists(splats, camera), Canvas(splats, camera)
-    for run in lists.slabs():
-        alive = canvas.alive()
-        if not alive.any():
-            break
-        slab = lists.lists(run, alive)
-        lap("sort")
-        canvas.blend(*slab)
-        lap("blend")
-    rendering = canvas.rendering(background, splats.dropped)
-    lap("blend")
-    return rendering
+    center: np.ndarray
+    conic: np.ndarray
+    extent: np.ndarray
+    depth: np.ndarray
+    opacity: np.ndarray
+    color: np.ndarray
+    dropped: int
 
 
 def project(gaussians: Gaussians, camera: Camera, dtype=np.float32) -> Splats:
-    """Stage 1: the Gaussians that may touch a pixel, in their own order, computed in `dtype`."""
-    fields = {name: value for name, value in vars(gaussians).items() if value is not None}
-    gaussians = Gaussians(**{name: np.asarray(value, dtype) for name, value in fields.items()})
-    good = _finite(gaussians)
-    fx, fy, cx, cy = (float(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy))
-    with np.errstate(all="ignore"):  # what lies on the camera's plane or is not finite is left out below
-        x, y, z = _camera_points(gaussians.means, camera)
-        ratio_x, ratio_y = x / z, y / z
-        x, y = ratio_x * fx + cx, ratio_y * fy + cy
-        margin_x, margin_y = FRUSTUM_MARGIN * camera.width / 2, FRUSTUM_MARGIN * camera.height / 2
-        ratio_x = np.clip(ratio_x, (-margin_x - cx) / fx, (camera.width + margin_x - cx) / fx)
-        ratio_y = np.clip(ratio_y, (-margin_y - cy) / fy, (camera.height + margin_y - cy) / fy)
-        covariance = _covariance_isotropic if gaussians.scales.ndim == 1 else _covariance
-        xx, xy, yy, det = covariance(gaussians, z, ratio_x, ratio_y, camera)
-        # the determinant of (Sigma + LOW_PASS I), free of the cancellation in xx yy - xy^2
-        det = det + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
-        xx, yy = xx + LOW_PASS, yy + LOW_PASS
-        log_opacity = np.zeros_like(z) if gaussians.opacities is None else np.log(gaussians.opacities)
-        columns, some_column = _pixel_range(x, xx, log_opacity, camera.width)
-        rows, some_row = _pixel_range(y, yy, log_opacity, camera.height)
-        seen = np.flatnonzero(good & (z > NEAR) & some_column & some_row)
-        conic = tuple(entry[seen] for entry in (yy / det, -xy / det, xx / det))
-    bounds = (np.stack([a[seen], b[seen]], 1).astype(np.int64) for a, b in zip(columns, rows, strict=True))
-    dropped = len(good) - int(np.count_nonzero(good))
-    return Splats(x[seen], y[seen], conic, log_opacity[seen], z[seen], gaussians.colors[seen], *bounds, dropped)
-
-
-def sort(splats: Splats) -> Splats:
-    """Stage 2: the splats in (float32 depth, index) order. `TileLists` then deals them out to the tiles."""
-    # depths are positive, and positive floats order like their bits
-    return splats.take(stable_order(splats.depth.astype(np.float32).view(np.uint32)))
-
-
-def _finite(gaussians: Gaussians) -> np.ndarray:
-    """(N,) bool: every field is finite and no scale is negative."""
-    good = np.ones(len(gaussians.means), bool)
-    for name, value in vars(gaussians).items():
-        if value is not None:
-            fine = np.isfinite(value)
-            if name == "scales":
-                fine &= value >= 0
-            for column in fine.reshape(len(fine), -1).T if len(fine) else ():
-                good &= column
-    return good
-
-
-def _camera_points(means: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coordinates in the camera frame, (N,) each. Spelt out, since a matrix product may round equal rows unequally,
-    and equal points must get equal depths."""
-    x, y, z = np.ascontiguousarray(means.T)
-    rows = np.asarray(camera.T_camera_world)[:3].tolist()
-    return tuple(x * row[0] + y * row[1] + z * row[2] + row[3] for row in rows)
-
-
-def _covariance_isotropic(gaussians: Gaussians, z, ratio_x, ratio_y, camera: Camera):
-    """(xx, xy, yy, det) of s^2 J J^T, px^2."""
-    fx, fy = float(camera.fx), float(camera.fy)
-    k = np.square(gaussians.scales / z)
-    kx, ky = k * fx**2, k * fy**2
-    xx, yy = 1 + np.square(ratio_x), 1 + np.square(ratio_y)
-    return kx * xx, k * (fx * fy) * ratio_x * ratio_y, ky * yy, kx * ky * (xx + np.square(ratio_y))
-
-
-def _covariance(gaussians: Gaussians, z, ratio_x, ratio_y, camera: Camera):
-    """(xx, xy, yy, det) of M M^T with M = J R diag(scales), px^2; det = |m_x x m_y|^2 by Lagrange's identity."""
-    axes = np.asarray(camera.T_camera_world)[:3, :3].astype(z.dtype)
+    """Project and sort, steps 1 and 2 of the rule."""
+    N = len(gaussians.means)
+    means, scales, colors = (np.asarray(a, dtype) for a in (gaussians.means, gaussians.scales, gaussians.colors))
+    opacity = np.ones(N, dtype) if gaussians.opacities is None else np.asarray(gaussians.opacities, dtype)
+    good = np.isfinite(means).all(1) & np.isfinite(colors).all(1) & np.isfinite(opacity)
+    good &= (np.isfinite(scales) & (scales >= 0)).all(tuple(range(1, scales.ndim)))
     if gaussians.quaternions is not None:
-        axes = axes @ matrix_from_quaternion(gaussians.quaternions)
-    axes = axes * gaussians.scales[:, None, :]
-    m_x = (float(camera.fx) / z)[:, None] * (axes[:, 0] - ratio_x[:, None] * axes[:, 2])
-    m_y = (float(camera.fy) / z)[:, None] * (axes[:, 1] - ratio_y[:, None] * axes[:, 2])
-    det = np.square(np.cross(m_x, m_y)).sum(1)
-    return np.square(m_x).sum(1), (m_x * m_y).sum(1), np.square(m_y).sum(1), det
+        good &= np.isfinite(np.asarray(gaussians.quaternions)).all(1)
+    R, t = camera.T_camera_world[:3, :3].astype(dtype), camera.T_camera_world[:3, 3].astype(dtype)
+    with np.errstate(all="ignore"):
+        x, y, z = (means @ R.T + t).T
+        keep = np.flatnonzero(good & (z > NEAR) & (opacity >= ALPHA_MIN))
+    x, y, z, opacity, scales = x[keep], y[keep], z[keep], opacity[keep], scales[keep]
+    cov = _covariance(gaussians, camera, keep, x / z, y / z, z, scales, R)
+    with np.errstate(all="ignore"):
+        det = cov[:, 0] * cov[:, 2] - cov[:, 1] ** 2
+        conic = np.stack([cov[:, 2] / det, -cov[:, 1] / det, cov[:, 0] / det], -1)
+        reach = 2 * np.log(opacity / dtype(ALPHA_MIN))
+        extent = np.sqrt(np.maximum(reach, 0)[:, None] * cov[:, [0, 2]])
+        center = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1).astype(dtype)
+        seen = (center + extent > 0).all(1) & (center - extent < [camera.width, camera.height]).all(1) & (det > 0)
+    order = np.flatnonzero(seen)
+    order = order[np.argsort(z[order].astype(np.float32), kind="stable")]
+    color = colors[keep][order]
+    return Splats(center[order], conic[order], extent[order], z[order], opacity[order], color, int(N - good.sum()))
 
 
-def _pixel_range(centre, variance, log_opacity, size: int):
-    """((first, last), any): along one axis of `size` pixels, those whose centres may lie in the support, still as
-    floats, and whether there are any."""
-    reach = 2 * (log_opacity - math.log(ALPHA_MIN))
-    # the range may be generous, never short: a support's edge carries the rounding of its extent
-    extent = np.sqrt(reach * variance) * 1.0001 + 0.01  # NaN, hence nowhere, where opacity is below ALPHA_MIN
-    first = np.maximum(np.ceil(centre - extent - 0.5), 0)
-    last = np.minimum(np.floor(centre + extent - 0.5), size - 1)
-    return (first, last), last >= first
+def _covariance(gaussians, camera: Camera, keep, u, v, z, scales, R) -> np.ndarray:
+    """(M, 3) image covariance xx, xy, yy in px^2, low-pass included."""
+    dtype = z.dtype
+    margin_x, margin_y = FRUSTUM_MARGIN * 0.5 * camera.width, FRUSTUM_MARGIN * 0.5 * camera.height
+    u = np.clip(u, -(camera.cx + margin_x) / camera.fx, (camera.width - camera.cx + margin_x) / camera.fx)
+    v = np.clip(v, -(camera.cy + margin_y) / camera.fy, (camera.height - camera.cy + margin_y) / camera.fy)
+    zero = np.zeros_like(z)
+    row_x = np.stack([camera.fx / z, zero, -camera.fx * u / z], -1)
+    row_y = np.stack([zero, camera.fy / z, -camera.fy * v / z], -1)
+    J = np.stack([row_x, row_y], -2).astype(dtype)
+    if scales.ndim == 1:
+        L = J * scales[:, None, None]
+    else:
+        M = R
+        if gaussians.quaternions is not None:
+            M = R @ matrix_from_quaternion(np.asarray(gaussians.quaternions, dtype)[keep])
+        L = (J @ M) * scales[:, None, :]
+    cov = L @ np.swapaxes(L, -1, -2)
+    low = dtype.type(LOW_PASS)
+    return np.stack([cov[:, 0, 0] + low, cov[:, 0, 1], cov[:, 1, 1] + low], -1)
+
+
+def tile_lists(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Which splats touch which tile: (P,) tile number, row-major, and (P,) splat, front to back within a tile."""
+    across, down = -(-camera.width // TILE), -(-camera.height // TILE)
+    low = np.floor((splats.center - splats.extent) / TILE)
+    high = np.floor((splats.center + splats.extent) / TILE)
+    first = np.clip(low, 0, [across - 1, down - 1]).astype(np.int64)
+    span = np.clip(high, 0, [across - 1, down - 1]).astype(np.int64) - first + 1
+    count = span.prod(1)
+    splat = np.repeat(np.arange(len(count)), count)
+    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    width = span[splat, 0]
+    tile = (first[splat, 1] + within // width) * across + first[splat, 0] + within % width
+    order = np.argsort(tile, kind="stable")
+    return tile[order], splat[order]
+
+
+def blend(splats: Splats, tile: np.ndarray, splat: np.ndarray, camera: Camera, background) -> Rendering:
+    """Steps 3 and 4 of the rule, tile by tile."""
+    dtype = splats.depth.dtype
+    across = -(-camera.width // TILE)
+    color = np.zeros((camera.height, camera.width, 3), dtype)
+    depth, left = np.zeros((camera.height, camera.width), dtype), np.ones((camera.height, camera.width), dtype)
+    tiles, starts = np.unique(tile, return_index=True)
+    for number, members in zip(tiles, np.split(splat, starts[1:]) if len(tiles) else (), strict=True):
+        top, side = divmod(int(number), across)
+        rows = slice(top * TILE, min((top + 1) * TILE, camera.height))
+        cols = slice(side * TILE, min((side + 1) * TILE, camera.width))
+        px = np.arange(cols.start, cols.stop, dtype=dtype) + dtype.type(0.5)
+        py = np.arange(rows.start, rows.stop, dtype=dtype) + dtype.type(0.5)
+        rgb, z, T = _blend_tile(splats, members, px, py)
+        color[rows, cols], depth[rows, cols], left[rows, cols] = rgb, z, T
+    return Rendering(color + left[..., None] * np.asarray(background, dtype), 1 - left, depth, splats.dropped)
+
+
+def _blend_tile(splats: Splats, members: np.ndarray, px: np.ndarray, py: np.ndarray):
+    dtype = px.dtype
+    T = np.ones((len(py), len(px)), dtype)
+    alive = np.ones_like(T, bool)
+    rgb, z = np.zeros((*T.shape, 3), dtype), np.zeros_like(T)
+    for start in range(0, len(members), CHUNK):
+        m = members[start : start + CHUNK]
+        dx = px - splats.center[m, 0, None]
+        dy = py - splats.center[m, 1, None]
+        a, b, c = (splats.conic[m, k, None, None] for k in range(3))
+        power = -0.5 * (a * dx[:, None] ** 2 + c * dy[:, :, None] ** 2) - b * dx[:, None] * dy[:, :, None]
+        alpha = np.minimum(splats.opacity[m, None, None] * np.exp(np.minimum(power, 0)), dtype.type(ALPHA_MAX))
+        alpha[alpha < ALPHA_MIN] = 0
+        after = T * np.cumprod(1 - alpha, 0)
+        before = np.concatenate([T[None], after[:-1]])
+        # transmittance only falls, so "has stopped" is just "would be below the stop"
+        counts = alive & (after >= TRANSMITTANCE_STOP)
+        weight = np.where(counts, alpha * before, 0)
+        rgb += np.einsum("mhw,mc->hwc", weight, splats.color[m])
+        z += np.einsum("mhw,m->hw", weight, splats.depth[m])
+        T = np.where(counts, after, np.inf).min(0, initial=np.inf, where=counts).clip(max=T)
+        alive &= counts[-1]
+        if not alive.any():
+            break
+    return rgb, z, T
+
+
+def render(gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0), dtype=np.float32) -> Rendering:
+    """Draw `gaussians` as `rules` says, in float32 or float64. Arrays of the Rendering have that dtype."""
+    splats = project(gaussians, camera, dtype)
+    return blend(splats, *tile_lists(splats, camera), camera, background)
+
+
+@PLAYER_RASTERIZERS.register("numpy", summary="exact, plain NumPy: the reference, needs nothing compiled")
+class NumpyRasterizer:
+    """`render(gaussians, camera, background) -> Rendering` and the seconds of its stages."""
+
+    differentiable = False
+
+    def __init__(self, config: NoOptions | None = None):
+        self.stage_seconds: dict[str, float] = {}
+
+    def render(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
+        """Float32 rendering; see `rules`."""
+        times = [perf_counter()]
+        splats = project(gaussians, camera)
+        times.append(perf_counter())
+        lists = tile_lists(splats, camera)
+        times.append(perf_counter())
+        rendering = blend(splats, *lists, camera, background)
+        times.append(perf_counter())
+        self.stage_seconds = dict(zip(("project", "sort", "blend"), np.diff(times).tolist(), strict=True))
+        return rendering

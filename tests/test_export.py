@@ -1,0 +1,103 @@
+"""Export: the bundle plays as the trained avatar does, or is not written."""
+
+from __future__ import annotations
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+from tiny_capture import SMALL, write_tiny_capture
+from torch import nn
+
+import gavatar.export as module
+from gavatar.config import compose_config
+from gavatar.export import export, fold_batchnorm, torch_gaussians
+from gavatar.training.run import open_run, train
+from gavatar_runtime.avatar import Avatar as PlayedAvatar
+from gavatar_runtime.bundle import read_bundle
+from gavatar_runtime.errors import UserError
+
+VARIANTS = {
+    "mlp and unet": [],
+    "upstream and BatchNorm": ["decoder=upstream", "decoder.width=16", "encoder.norm=batch", "avatar.smoothing=true"],
+    "features of another size than the map": ["avatar.feature_size=32"],
+    "static": ["encoder=none"],
+}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    capture = write_tiny_capture(tmp_path_factory.mktemp("capture") / "tiny")
+    opened = {}
+    for name, overrides in VARIANTS.items():
+        out = tmp_path_factory.mktemp("run") / "run"
+        changed = {o.split("=")[0] for o in overrides}
+        settings = [o for o in SMALL if o.split("=")[0] not in changed]
+        if "decoder" in changed:
+            settings = [o for o in settings if not o.startswith("decoder")]
+        if name == "static":
+            settings = [o for o in settings if not o.startswith("encoder")]
+        train(compose_config([f"capture={capture}", f"out={out}", *settings, *overrides]), out)
+        opened[name] = open_run(out)
+    return opened
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_played_avatar_is_the_trained_one(runs, variant, tmp_path):
+    run = runs[variant]
+    manifest = export(run, tmp_path / "a.gavatar")
+    assert manifest.dynamic == (variant != "static")
+    played, motion = PlayedAvatar(read_bundle(tmp_path / "a.gavatar", verify=True)), run.motion.motion()
+    for frame in (0, 4):
+        got, expected = played.gaussians(motion.poses[frame], motion.trans[frame]), torch_gaussians(run, motion, frame)
+        # float32 through one network in two engines: a hundredth of the export's own tolerance
+        assert np.abs(got.means - expected.means.numpy()).max() < 1e-5
+        assert np.abs(got.colors - expected.colors.numpy()).max() < 1e-4
+        assert np.abs(got.scales - expected.scales.numpy()).max() < 1e-6
+    assert manifest.export_check["position_m"] < 1e-5
+    assert manifest.export_check["poses"] == 6  # as many as there are training frames
+
+
+def test_onnx_members_state_opset_and_metadata_and_hold_no_batchnorm(runs, tmp_path):
+    export(runs["upstream and BatchNorm"], tmp_path / "a.gavatar")
+    bundle = read_bundle(tmp_path / "a.gavatar")
+    for member in ("encoder.onnx", "decoder.onnx"):
+        model = onnx.load_from_string(bundle.read(member))
+        onnx.checker.check_model(model)
+        properties = {p.key: p.value for p in model.metadata_props}
+        assert model.opset_import[0].version == module.OPSET == bundle.manifest.opset
+        assert properties["decoder"] == "upstream"
+        assert properties["license"] == "CC0-1.0"
+        assert "BatchNormalization" not in {node.op_type for node in model.graph.node}
+    session = onnxruntime.InferenceSession(bundle.read("decoder.onnx"))
+    (points, _) = session.get_outputs()[0].shape
+    assert points == bundle.manifest.gaussians == len(runs["upstream and BatchNorm"].avatar.surface)
+
+
+def test_an_export_beyond_tolerance_is_refused_and_nothing_is_left(runs, tmp_path, monkeypatch):
+    run = runs["mlp and unet"]
+    wrong = module.ExportCheck(0.01, 0, 0, 1)
+    monkeypatch.setattr(module, "verify", lambda *a: wrong)
+    with pytest.raises(UserError, match=r"was not written.*10\.000 mm"):
+        export(run, tmp_path / "a.gavatar")
+    monkeypatch.setattr(module, "verify", lambda *a: module.ExportCheck(float("nan"), 0, 0, 1))
+    with pytest.raises(UserError, match="was not written"):
+        export(run, tmp_path / "a.gavatar")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folding_batchnorm_changes_nothing_that_is_evaluated():
+    torch.manual_seed(0)
+    up = nn.ConvTranspose2d(4, 5, 4, 2, 1)
+    conv = nn.Sequential(nn.Conv2d(3, 4, 3), nn.BatchNorm2d(4), nn.ReLU(), up, nn.BatchNorm2d(5, affine=False))
+    linear = nn.Sequential(nn.Linear(3, 4), nn.BatchNorm1d(4), nn.Softplus())
+    for net, x in ((conv, torch.randn(2, 3, 8, 8)), (linear, torch.randn(9, 3))):
+        for _ in range(3):
+            net(x * 2 + 1)  # running statistics away from their start
+        net.eval()
+        folded = fold_batchnorm(net)
+        assert not any(isinstance(m, nn.modules.batchnorm._BatchNorm) for m in folded.modules())
+        # a product of float32 numbers taken in another order
+        assert torch.allclose(folded(x), net(x), atol=1e-5)
+        assert any(isinstance(m, nn.modules.batchnorm._BatchNorm) for m in net.modules())
