@@ -50,6 +50,7 @@ def run_demo(out: Path, overrides: Sequence[str] = (), say: Callable[[str], None
     """
     start = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
+    earlier = _seconds_spent(out)
     common = [f"capture={demo_capture()}", "experiment=demo", *overrides]
     say("1/5  baseline: appearance alone, on the estimated poses as they are")
     _train(out / "baseline", [*common, "motion.enabled=false", "stage2.steps=0"])
@@ -66,7 +67,7 @@ def run_demo(out: Path, overrides: Sequence[str] = (), say: Callable[[str], None
     plays = {motion: _play(bundle, motion, out) for motion in MOTIONS}
     picture = out / "summary.png"
     summary_picture(evaluations, plays, picture)
-    summary = _summary(evaluations, manifest, plays, time.perf_counter() - start)
+    summary = _summary(evaluations, manifest, plays, earlier + time.perf_counter() - start)
     write_json(out / "summary.json", summary)
     files = [out / f"{motion}.mp4" for motion in MOTIONS] + [picture, bundle, out / "summary.json"]
     return DemoResult(summary, evaluations, files)
@@ -74,6 +75,15 @@ def run_demo(out: Path, overrides: Sequence[str] = (), say: Callable[[str], None
 
 def _train(directory: Path, overrides: list[str]) -> None:
     train(compose_config([*overrides, f"out={directory}"]), directory)
+
+
+def _seconds_spent(out: Path) -> float:
+    """Training time of an earlier, interrupted demo in the same folder: part of what its results took."""
+    total = 0.0
+    for name in ("baseline", "avatar"):
+        if (out / name / "metrics.json").exists():
+            total += sum(json.loads((out / name / "metrics.json").read_text(encoding="utf-8"))["seconds"].values())
+    return total
 
 
 def _evaluate(out: Path) -> dict[str, Evaluation]:
