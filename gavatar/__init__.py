@@ -4,8 +4,8 @@ import os
 
 from gavatar_runtime import __version__
 
-# OpenMP's threads otherwise spin at every barrier: beside another busy process, or our own splatting threads, a training
-# step then takes ten to a hundred times as long. Read once, when torch loads the library, so it stands here.
+# OpenMP's threads otherwise spin at every barrier: beside another busy process, or our own splatting threads, a
+# training step then takes ten to a hundred times as long. Read once, when torch loads it, so it stands here.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
