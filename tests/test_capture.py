@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import cv2
 import numpy as np
 import pytest
-from tiny_capture import demo, write_tiny_capture
+from tiny_capture import SMALL, demo, write_tiny_capture
 
 from gavatar.build import open_capture
 from gavatar.capture import View, read_capture
@@ -142,3 +144,16 @@ def test_a_folder_of_no_known_layout_says_what_is_known(tmp_path):
 def test_an_absent_split_names_those_there_are(tiny):
     with pytest.raises(UserError, match=r"no split 'val'.*train, test, novel_pose"):
         read_capture(tiny).views("val")
+
+
+@pytest.mark.parametrize("fault", ["a missing frame", "a mask of another size", "NaN poses", "a later version"])
+def test_training_on_a_faulty_capture_is_one_sentence_exit_code_two_and_nothing_written(tiny, tmp_path, fault):
+    FAULTS[fault][0](tiny)
+    arguments = [f"capture={tiny}", f"out={tmp_path / 'run'}", *SMALL]
+    code = f"from gavatar.cli.train import main; main({arguments!r})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert done.stderr.startswith("error: ")
+    assert not list((tmp_path / "run").rglob("*.pt"))
+    assert fault == "a mask of another size" or not (tmp_path / "run").exists()

@@ -56,9 +56,11 @@ def test_a_run_leaves_what_it_promises(trained):
 
 
 def test_training_lowers_the_loss(capture, tmp_path):
-    trainer = run(capture, tmp_path / "r", "stage1.steps=40", "stage1.lr_decoder=0.01", "stage2.steps=0")
+    # every view in every step over one background, so that first and last loss are of the same images
+    same = ["background=white", "stage1.batch=6", "stage1.levels=[{until:1.0,uv:64,image:0.25}]", "stage2.steps=0"]
+    trainer = run(capture, tmp_path / "r", *same, "stage1.steps=60", "stage1.lr_decoder=0.01")
     losses = [e["losses"]["l1"] for e in trainer.history]
-    assert losses[-1] < 0.85 * losses[0]
+    assert losses[-1] < 0.7 * losses[0]
 
 
 def test_the_same_seed_gives_the_same_avatar_and_another_another(capture, trained, tmp_path):

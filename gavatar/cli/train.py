@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.resources
 import os
 import sys
@@ -110,6 +111,7 @@ def main(argv: list[str] | None = None) -> int:
 @requires_extra("train")
 def _train(arguments: list[str]) -> int:
     import hydra
+    from hydra.core.hydra_config import HydraConfig
 
     from ..config import register_configs
 
@@ -126,6 +128,8 @@ def _train(arguments: list[str]) -> int:
         except UserError as error:
             failures.append(error)
             print(f"error: {error}", file=sys.stderr)
+            with contextlib.suppress(OSError):  # Hydra made the directory; it stays only if there is something in it
+                os.rmdir(HydraConfig.get().runtime.output_dir)
 
     guarded.__module__ = "__main__"
     sys.argv = ["gavatar-train", *arguments]
