@@ -26,7 +26,7 @@ from splat_scenes import as_numpy, as_torch, body_camera, body_scene, map_fields
 from gavatar.registry import RASTERIZERS, load_plugins  # noqa: E402
 from gavatar_runtime import native_library as nl  # noqa: E402
 from gavatar_runtime.errors import UserError  # noqa: E402
-from gavatar_runtime.rasterizers import PLAYER_RASTERIZERS  # noqa: E402
+from gavatar_runtime.player import player_rasterizers  # noqa: E402
 from gavatar_runtime.skinning import skin  # noqa: E402
 
 COUNTS = (12_500, 50_000, 200_000, 800_000)
@@ -47,7 +47,7 @@ def measure(run, seconds: float) -> dict[str, float]:
 
 
 def forward_run(name: str, options: dict, count: int, camera):
-    rasterizer, scene = PLAYER_RASTERIZERS.build(name, options), as_numpy(body_scene(count))
+    rasterizer, scene = player_rasterizers().build(name, options), as_numpy(body_scene(count))
     return rasterizer, lambda: rasterizer.render(scene, camera, (1.0, 1.0, 1.0))
 
 
@@ -59,7 +59,7 @@ def backward_run(name: str, options: dict, count: int, camera):
     return rasterizer, lambda: torch.autograd.grad(rasterizer(scene, camera).color, wanted, upstream)
 
 
-RUNS = {"forward": (PLAYER_RASTERIZERS, forward_run), "forward+backward": (RASTERIZERS, backward_run)}
+RUNS = {"forward": (player_rasterizers(), forward_run), "forward+backward": (RASTERIZERS, backward_run)}
 
 
 def rows(arguments) -> list[dict]:
