@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 
 from gavatar_runtime.camera import Camera
+from gavatar_runtime.camera_file import read_cameras
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.motions import read_motion
@@ -120,29 +121,6 @@ def _json(path: Path) -> dict:
     return value
 
 
-def _cameras(path: Path) -> dict[str, Camera]:
-    cameras = {}
-    for name, entry in _json(path).items():
-        try:
-            T = np.asarray(entry["world_to_camera"], np.float64)
-            camera = Camera(
-                int(entry["width"]), int(entry["height"]),
-                *(float(entry[k]) for k in ("fx", "fy", "cx", "cy")), T,
-            )  # fmt: skip
-        except KeyError as error:
-            raise UserError(f"{path}: camera '{name}' has no field {error}") from None
-        except (TypeError, ValueError) as error:
-            raise UserError(f"{path}: camera '{name}' has a field of the wrong type ({error})") from None
-        if T.shape != (4, 4) or not np.isfinite(T).all():
-            raise UserError(f"{path}: camera '{name}': world_to_camera must be one finite 4x4 matrix")
-        if camera.width < 1 or camera.height < 1 or not (camera.fx > 0 and camera.fy > 0):
-            raise UserError(f"{path}: camera '{name}': width, height, fx and fy must be positive")
-        cameras[name] = camera
-    if not cameras:
-        raise UserError(f"{path} holds no camera")
-    return cameras
-
-
 def _splits(path: Path, entries: dict, cameras: dict[str, Camera], frames: int) -> dict[str, list[View]]:
     splits: dict[str, list[View]] = {}
     for split, groups in entries.items():
@@ -185,7 +163,7 @@ def read_capture(path: str | os.PathLike) -> Capture:
                 "upgrade it"
             )
         raise UserError(f"{path / 'capture.json'}: version must be {CAPTURE_VERSION}, not {version!r}")
-    cameras = _cameras(path / "cameras.json")
+    cameras = read_cameras(path / "cameras.json")
     motion = read_motion(path / "body.npz", up="y")
     truth = read_motion(path / "body_truth.npz", up="y") if (path / "body_truth.npz").exists() else None
     if truth is not None and len(truth) != len(motion):

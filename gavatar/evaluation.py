@@ -156,7 +156,7 @@ def fit_motion(
     row = {frame: i for i, frame in enumerate(frames)}
     poses = check_motion_fits(capture.motion.poses[frames], run.built.body.data.num_joints)
     losses = LossComposer(
-        {k: v for k, v in config.losses.items() if k not in ("feature", "pose_feature", "perceptual")}
+        {k: v for k, v in config.losses.items() if k not in ("feature", "pose_feature", "perceptual", "lpips")}
     )
     optimizer = RowAdam(
         [
