@@ -13,8 +13,13 @@ from gavatar_runtime.gaussians import Gaussians, Rendering
 
 log = logging.getLogger("gavatar.rasterizers")
 
+# what serves float32 tensors on a device, the best first; plain torch takes everything
+BY_DEVICE = {"cpu": ("native",), "cuda": ("gsplat",)}
 
-@RASTERIZERS.register("auto", summary="native for float32 tensors on the CPU where it is compiled, else torch")
+
+@RASTERIZERS.register(
+    "auto", summary="the best for the tensors: native on the CPU, gsplat on CUDA, torch where these are not to be had"
+)
 class AutoRasterizer:
     """Chooses at each call by device and dtype and logs a choice when it is first made. Options of the chosen one are
     its defaults; name it to set them."""
@@ -22,21 +27,25 @@ class AutoRasterizer:
     differentiable = True
 
     def __init__(self, config: NoOptions | None = None):
-        self._built: dict[str, object] = {}
+        self._chosen: dict[tuple[str, ...], object] = {}
 
     def __call__(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
         means = gaussians.means
-        native = means.device.type == "cpu" and means.dtype == torch.float32
-        return self._choose("native" if native else "torch")(gaussians, camera, background)
+        names = BY_DEVICE.get(means.device.type, ()) if means.dtype == torch.float32 else ()
+        if names not in self._chosen:
+            self._chosen[names] = _first(names)
+        return self._chosen[names](gaussians, camera, background)
 
-    def _choose(self, name: str):
-        if name not in self._built:
-            try:
-                self._built[name] = RASTERIZERS.build(name)
-                log.info("rasterizer auto: %s", name)
-            except UserError as error:
-                if name == "torch":
-                    raise
-                log.warning("rasterizer auto: torch, because %s", error)
-                self._built[name] = self._choose("torch")
-        return self._built[name]
+
+def _first(names: tuple[str, ...]):
+    """The first of `names` that can be built here, else torch."""
+    for name in names:
+        try:
+            rasterizer = RASTERIZERS.build(name)
+        except UserError as error:
+            log.warning("rasterizer auto: not %s, because %s", name, error)
+        else:
+            log.info("rasterizer auto: %s", name)
+            return rasterizer
+    log.info("rasterizer auto: torch")
+    return RASTERIZERS.build("torch")
