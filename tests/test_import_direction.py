@@ -14,6 +14,8 @@ RUNTIME, LIBRARY, PLUGINS = ROOT / "deploy" / "gavatar_runtime", ROOT / "gavatar
 RUNTIME_MAY_IMPORT = {"numpy", "onnxruntime", "cv2", "gavatar_runtime"}
 UNSAFE_MODULES = {"pickle", "cPickle", "dill", "joblib", "shelve", "marshal"}
 EXCEPTIONS_OF_PICKLE = {"UnpicklingError", "PickleError"}  # what torch.load raises, even with weights_only=True
+# the restricted unpickler itself, which tests/test_safe_pickle.py attacks
+READS_PICKLES = RUNTIME / "safe_pickle.py"
 # walks the rooms of the namespace package to find what is registered
 NAMES_THE_NAMESPACE = LIBRARY / "registry.py"
 
@@ -110,7 +112,8 @@ def unsafe_loads(source: str) -> list[str]:
 
 @parametrize_files(RUNTIME, LIBRARY, PLUGINS)
 def test_no_shipped_code_can_run_what_a_data_file_holds(path):
-    assert unsafe_loads(path.read_text()) == []
+    found = unsafe_loads(path.read_text())
+    assert [f for f in found if path != READS_PICKLES or f not in ("_Unpickler", "BUILD", "BYTEARRAY8")] == []
 
 
 @pytest.mark.parametrize(
