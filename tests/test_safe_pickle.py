@@ -166,7 +166,7 @@ DAMAGED_STREAMS = {
     "a class as the value": b"cnumpy\ndtype\n.",
     "an array never filled": b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(I0\ntS'b'\ntR.",
     "deep nesting": b"\x80\x02" + b"]" * 200000 + b"a" * 199999 + b".",
-    "a sparse matrix larger than memory": b"cscipy.sparse.csc\ncsc_matrix\n)\x81}(S'_shape'\n(I1" + b"0" * 9 + b"\nI9\ntub.",
+    "a matrix larger than memory": b"cscipy.sparse.csc\ncsc_matrix\n)\x81}(S'_shape'\n(I1" + b"0" * 9 + b"\nI9\ntub.",
 }  # fmt: skip
 
 
