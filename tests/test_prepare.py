@@ -438,7 +438,7 @@ def _camera_json():
         (_remove_mask, "000001.png is missing"),
         (_resize_mask, "64x64"),
         (_break_frame, "cannot be read as an image"),
-        (_drop_landmarks, "raw video"),
+        (_drop_landmarks, "landmarks.npz is missing"),
         (_shorten_landmarks, "has 2 frames"),
         (_drop_frames, "holds no footage"),
         (_foreign_camera, "no camera 'cam0'"),
@@ -472,13 +472,6 @@ def test_bad_options_are_refused(footage, tmp_path, capsys, arguments, message):
     assert run(footage, "-o", tmp_path / "out", "--quiet", *arguments) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_raw_video_is_said_to_come_later(tmp_path, capsys):
-    video = tmp_path / "film.mp4"
-    video.write_bytes(b"0")
-    assert run(video, "-o", tmp_path / "out") == 2
-    assert "raw video" in capsys.readouterr().err
 
 
 def test_splits_hold_out_every_tenth_frame_and_a_camera():

@@ -1,24 +1,29 @@
-"""`gavatar-prepare SOURCE -o CAPTURE`: footage with landmarks and masks -> a capture with a fitted body."""
+"""`gavatar-prepare SOURCE -o CAPTURE`: a video, or footage with landmarks and masks -> a capture with a fitted body."""
 
 from __future__ import annotations
 
 import argparse
+import tempfile
 from pathlib import Path
 
 from gavatar_runtime.errors import UserError, exit_cleanly
 
 from ..extras import requires_extra
 
-DESCRIPTION = "Fit the body to footage with landmarks and masks and write a capture that gavatar-train reads."
-EPILOG = """SOURCE is one of
+MOST_FRAMES, LARGEST = 200, 1024  # of raw video; pixels of the longer side
+DESCRIPTION = "Find the person in a video, fit the body, write a capture that gavatar-train reads."
+EPILOG = """SOURCE is a video of one person before a camera that stands still, or a folder that holds one of
   frames/*.png (or one video)  masks/NAME.png  landmarks.npz            one camera that need not be known
   videos/CAM.mp4  masks/CAM/NAME.png  landmarks_CAM.npz  cameras.json   several calibrated cameras
-  a video, with --landmarks and --masks
+
+Without landmarks and masks the person is found by MediaPipe's pose networks, which come with the package; of several
+people the largest is followed. What you have may be given in files.
 
 landmarks.npz holds MediaPipe's 33 points: image (T, 33, 4) x, y in pixels, z, visibility; world (T, 33, 4) in metres;
-fps. Points that were not seen have visibility 0. Finding masks and landmarks in raw video comes later.
+fps. Points that were not seen have visibility 0.
 
 examples
+  gavatar-prepare clip.mp4 -o captures/anna --height 1.72
   gavatar-prepare footage/anna -o captures/anna --license "my own"
   gavatar-prepare lab -o captures/lab --size 960 --frames 0:100:2 --holdout-camera cam04
 
@@ -42,7 +47,10 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--frames", metavar="A:B:STEP", default="::", help="frames to take, as in Python (default: all)"
     )
-    parser.add_argument("--size", type=int, metavar="N", help="make the images' longer side N pixels")
+    parser.add_argument("--max-frames", type=int, default=MOST_FRAMES, metavar="N", help="of raw video take every k-th "
+                        "frame so that at most N remain, unless --frames (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--size", type=int, metavar="N", help="make the images' longer side N pixels (default: as they "
+                        f"are; raw video at most {LARGEST})")  # fmt: skip
     parser.add_argument("--holdout-camera", metavar="CAM", help="keep this camera's images from training, to test "
                         "novel views (the body is fitted to all cameras)")  # fmt: skip
     parser.add_argument("--fov", type=float, metavar="DEG", help="field of view of an unknown camera over the longer "
@@ -50,6 +58,8 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--refine-cameras", action="store_true",
                         help="let calibrated principal points move a little, where the cameras disagree")  # fmt: skip
     parser.add_argument("--height", type=float, metavar="M", help="the person's height in metres, if known")
+    parser.add_argument("--pose-network", metavar="FILE", type=Path, help="another landmark network with the inputs "
+                        "and outputs of MediaPipe's (ONNX); the package brings its 'full' one")  # fmt: skip
     parser.add_argument("--body", default="free", help="body to fit (default: free)")
     parser.add_argument("--name", help="name of the capture (default: the folder's)")
     parser.add_argument("--license", default="unknown", help="licence of the footage (default: unknown)")
@@ -71,11 +81,13 @@ def _slice(text: str) -> slice:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    ranges = {"fps": (0, 10000), "size": (16, 16384), "fov": (1, 170), "height": (0.5, 2.6)}
+    ranges = {"fps": (0, 10000), "max_frames": (0, 100000), "size": (16, 16384), "fov": (1, 170), "height": (0.5, 2.6)}
     for name, (low, high) in ranges.items():
         value = getattr(arguments, name)
         if value is not None and not (low < value <= high):
-            raise UserError(f"--{name} {value:g} is out of range: give more than {low} and at most {high}")
+            raise UserError(
+                f"--{name.replace('_', '-')} {value:g} is out of range: give more than {low} and at most {high}"
+            )
 
 
 @exit_cleanly
@@ -84,15 +96,24 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
     _check(arguments)
-    from ..prepare import CaptureFacts, FitOptions, SourceOptions, open_source, prepare
-    from ..registry import BODIES, load_plugins
-
     frames = _slice(arguments.frames)
     if arguments.out.exists() and not arguments.overwrite:
         raise UserError(f"{arguments.out} exists: choose another --out or replace it with --overwrite")
+    with tempfile.TemporaryDirectory(prefix="gavatar-masks-") as masks:
+        return _prepare(arguments, frames, Path(masks))
+
+
+def _prepare(arguments: argparse.Namespace, frames: slice, masks: Path) -> int:
+    from ..prepare import CaptureFacts, Detector, FitOptions, SourceOptions, open_source, prepare
+    from ..registry import BODIES, load_plugins
+
     places = {key: getattr(arguments, key) for key in ("landmarks", "masks", "cameras", "fps", "size")}
-    source = open_source(arguments.source, SourceOptions(frames=frames, **places))
+    detector = Detector(masks, arguments.pose_network, not arguments.quiet)
+    limits = {"most_frames": arguments.max_frames, "largest": LARGEST}
+    source = open_source(arguments.source, SourceOptions(frames=frames, detector=detector, **limits, **places))
     print(f"found {source.description}")
+    for note in source.notes:
+        print(f"note: {note}")
     if arguments.fov is not None and source.footage[0].lens is not None:
         raise UserError("--fov is for an unknown camera, but cameras.json calibrates it: leave one of them out")
     load_plugins()

@@ -1,11 +1,13 @@
-"""Reading footage with landmarks and masks beside it, the lens' distortion removed.
+"""Reading footage, with landmarks and masks beside it or found in it, the lens' distortion removed.
 
-Two layouts are recognised::
+Three layouts are recognised::
 
+    a video                                                                                    one camera, unknown
     frames/*.png|jpg (or one video)   masks/NAME.png   landmarks.npz                           one camera, unknown
     videos/CAM.mp4 (or frames/CAM/)   masks/CAM/NAME.png   landmarks_CAM.npz   cameras.json    calibrated cameras
 
-A mask has the name of its frame, or its number as 000000.png when the frames come from a video.
+A mask has the name of its frame, or its number as 000000.png when the frames come from a video. Where landmarks and
+masks are both absent, a detector finds them.
 """
 
 from __future__ import annotations
@@ -21,11 +23,11 @@ import numpy as np
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
 
+from .detect import Detector
 from .landmarks import Landmarks, read_landmarks
+from .video import VIDEO_SUFFIXES, video_facts, video_frames
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
-VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")
-RAW_VIDEO = "finding masks and landmarks in raw video is not part of gavatar-prepare yet"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +76,7 @@ class Footage:
 
     def images(self) -> Iterator[np.ndarray]:
         """(H, W, 3) uint8 BGR of each chosen frame, undistorted and resized. UserError for an unreadable frame."""
-        raw = _video_frames(self.frames, self.numbers) if isinstance(self.frames, Path) else map(_image, self.frames)
+        raw = video_frames(self.frames, self.numbers) if isinstance(self.frames, Path) else map(_image, self.frames)
         for number, image in zip(self.numbers, raw, strict=True):
             yield self._prepared(image, self.frames if isinstance(self.frames, Path) else self.frames[0].parent, number)
 
@@ -100,11 +102,12 @@ class Footage:
 @dataclasses.dataclass(frozen=True)
 class Source:
     """Footage of every camera, frame by frame at the same times. fps: of the chosen frames. description: what was
-    found, for the user."""
+    found, for the user. notes: what is wrong with the footage, sentences."""
 
     footage: list[Footage]
     fps: float
     description: str
+    notes: list[str] = dataclasses.field(default_factory=list)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,12 +118,16 @@ class SourceOptions:
     masks: Path | None = None
     cameras: Path | None = None
     fps: float | None = None
-    frames: slice = dataclasses.field(default_factory=slice)
+    frames: slice = dataclasses.field(default_factory=lambda: slice(None))
     size: int | None = None
+    detector: Detector | None = None  # finds landmarks and masks where there are none
+    most_frames: int | None = None  # of footage that is given to the detector
+    largest: int | None = None  # pixels of the longer side, of footage that is given to the detector
 
 
 def open_source(path: Path, options: SourceOptions | None = None) -> Source:
-    """Recognise the layout of `path` (a folder, or a video with --landmarks and --masks) and check it whole.
+    """Recognise the layout of `path` (a folder or a video) and check it whole; find the person where nothing says
+    where they are and options.detector can.
 
     Raises UserError, naming the file and the fix, for whatever is missing or does not fit together.
     """
@@ -130,37 +137,41 @@ def open_source(path: Path, options: SourceOptions | None = None) -> Source:
     if path.is_file():
         if path.suffix.lower() not in VIDEO_SUFFIXES:
             raise UserError(f"{path} is no video ({', '.join(VIDEO_SUFFIXES)}): give a folder of footage or a video")
-        if options.landmarks is None or options.masks is None:
-            raise UserError(f"{path}: {RAW_VIDEO}; give them with --landmarks FILE and --masks DIR")
-        folder, found = path.parent, {"cam0": path}
+        found, cameras_file = {"cam0": path}, options.cameras
     else:
-        folder, found = path, _cameras_of(path)
-    cameras_file = options.cameras or (folder / "cameras.json" if (folder / "cameras.json").is_file() else None)
+        found = _cameras_of(path)
+        cameras_file = options.cameras or (path / "cameras.json" if (path / "cameras.json").is_file() else None)
     lenses = read_lenses(cameras_file) if cameras_file else {}
+    if path.is_file() and len(lenses) == 1:
+        lenses = {"cam0": next(iter(lenses.values()))}  # the only camera, whatever it is called there
     if not lenses and len(found) > 1:
         raise UserError(f"{path} holds {len(found)} cameras ({', '.join(found)}) but no cameras.json: give --cameras")
-    footage, rates = [], []
-    for name, frames in found.items():
+    films, alone = [_Film.of(name, frames) for name, frames in found.items()], len(found) == 1
+    for name in found:
         if lenses and name not in lenses:
             raise UserError(f"{cameras_file} has no camera '{name}', which {path} holds (it has: {', '.join(lenses)})")
-        one, rate = _footage(folder, name, frames, lenses.get(name), options, alone=len(found) == 1)
-        footage.append(one)
-        rates.append(rate)
+    given = [_beside(path, name, options, alone) for name in found]
+    if None in given and options.fps is None and not any(film.rate for film in films):
+        raise UserError(f"{path}: the footage does not say its frame rate: give --fps")
+    parts = [_footage(film, lenses.get(film.name), its, options) for film, its in zip(films, given, strict=True)]
+    footage = [one for one, _, _ in parts]
     if len({len(f.numbers) for f in footage}) > 1:
         counts = ", ".join(f"{f.name} {len(f.numbers)}" for f in footage)
         raise UserError(
             f"{path}: the cameras have different numbers of frames ({counts}); choose common ones: --frames"
         )
-    known = [rate for rate in rates if rate]
-    fps = options.fps or (known[0] if known else None)
+    fps = options.fps or next((rate for _, rate, _ in parts if rate), None)
     if fps is None:
         raise UserError(f"{path}: neither landmarks nor video say the frame rate: give --fps")
-    kind = "video" if isinstance(next(iter(found.values())), Path) else "image"
+    numbers = footage[0].numbers
     description = (
-        f"{len(footage)} camera{'s' * (len(footage) > 1)} ({', '.join(found)}), {len(footage[0].numbers)} frames from "
-        f"{kind} files at {fps:.4g} fps, {'calibrated' if lenses else 'camera unknown'}, with landmarks and masks"
+        f"{len(footage)} camera{'s' * (len(footage) > 1)} ({', '.join(found)}), {len(numbers)} frames from "
+        f"{'video' if isinstance(films[0].frames, Path) else 'image'} files at {fps:.4g} fps, "
+        f"{'calibrated' if lenses else 'camera unknown'}, "
+        f"{'the person found in them' if None in given else 'with landmarks and masks'}"
     )
-    return Source(footage, fps / abs(options.frames.step or 1), description)
+    step = int(numbers[1] - numbers[0]) if len(numbers) > 1 else 1
+    return Source(footage, fps / step, description, [note for _, _, notes in parts for note in notes])
 
 
 def _cameras_of(folder: Path) -> dict[str, list[Path] | Path]:
@@ -188,60 +199,115 @@ def _image_files(folder: Path) -> list[Path]:
     return [p for p in sorted(folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES]
 
 
-def _footage(folder, name, frames, lens, options, alone) -> tuple[Footage, float | None]:
-    if isinstance(frames, Path):
-        count, rate, filmed = _video_facts(frames)
-        stems = [f"{k:06d}" for k in range(count)]
-    else:
-        count, rate = len(frames), None
-        stems = [p.stem for p in frames]
-        filmed = _image(frames[0]).shape[1::-1]
-    landmarks_file = _landmarks_file(folder, name, options, alone)
-    landmarks = read_landmarks(landmarks_file)
-    if len(landmarks) != count:
-        raise UserError(f"{landmarks_file} has {len(landmarks)} frames, but the footage of '{name}' has {count}")
-    if landmarks.width and landmarks.height and (landmarks.width, landmarks.height) != filmed:
-        raise UserError(
-            f"{landmarks_file} was made for {landmarks.width}x{landmarks.height} pixels, but the footage of '{name}' "
-            f"is {filmed[0]}x{filmed[1]}"
-        )
+@dataclasses.dataclass(frozen=True)
+class _Film:
+    """One camera's raw material. frames: image files or a video. stems: names of all its masks."""
+
+    name: str
+    frames: list[Path] | Path
+    stems: list[str]
+    rate: float | None
+    size: tuple[int, int]
+
+    @staticmethod
+    def of(name: str, frames: list[Path] | Path) -> _Film:
+        if isinstance(frames, Path):
+            facts = video_facts(frames)
+            return _Film(name, frames, [f"{k:06d}" for k in range(facts.count)], facts.rate, facts.size)
+        return _Film(name, frames, [p.stem for p in frames], None, _image(frames[0]).shape[1::-1])
+
+    def images(self, numbers: np.ndarray) -> Iterator[np.ndarray]:
+        if isinstance(self.frames, Path):
+            return video_frames(self.frames, numbers)
+        return (_image(self.frames[k]) for k in numbers)
+
+
+def _footage(film: _Film, lens: Lens | None, given: tuple[Path, Path] | None, options: SourceOptions
+             ) -> tuple[Footage, float | None, list[str]]:  # fmt: skip
+    """One camera's footage, its frame rate and what is to be said of it. given: landmarks file and folder of masks, or
+    None to look for the person."""
+    name, count, filmed = film.name, len(film.stems), film.size
     if lens is not None and (lens.camera.width, lens.camera.height) != filmed:
         raise UserError(
             f"cameras.json: camera '{name}' is {lens.camera.width}x{lens.camera.height}, but its footage is "
             f"{filmed[0]}x{filmed[1]}"
         )
-    numbers = np.arange(count)[options.frames]
+    frames, longest, notes = options.frames, options.size, []
+    if given is None:
+        if frames == slice(None) and options.most_frames and count > options.most_frames:
+            frames = slice(None, None, -(-count // options.most_frames))
+            notes.append(f"{name}: every {_ordinal(frames.step)} of {count} frames is taken (--max-frames, --frames)")
+        if longest is None and options.largest and max(filmed) > options.largest:
+            longest = options.largest
+            notes.append(f"{name}: {filmed[0]}x{filmed[1]} pixels are reduced to {longest} on the longer side (--size)")
+    numbers = np.arange(count)[frames]
     if not len(numbers):
         raise UserError(f"--frames leaves nothing of the {count} frames of '{name}': choose a range inside 0:{count}")
-    masks = _mask_files(folder, name, [stems[k] for k in numbers], options, alone)
-    scale = 1.0 if options.size is None else options.size / max(filmed)
+    if given is None:
+        detection = options.detector(name, lambda: film.images(numbers), numbers, film.rate)
+        chosen, masks, rate, notes = detection.landmarks, detection.mask_files, film.rate, notes + detection.notes
+    else:
+        landmarks = _read_matching(given[0], film)
+        chosen, rate = landmarks[numbers], landmarks.fps or film.rate
+        masks = _mask_files(given[1], [film.stems[k] for k in numbers])
+    scale = 1.0 if longest is None else longest / max(filmed)
     size = (max(1, round(filmed[0] * scale)), max(1, round(filmed[1] * scale)))
-    chosen = landmarks[numbers]
     image = lens.undistort_points(chosen.image) if lens is not None and np.any(lens.distortion) else chosen.image
     chosen = dataclasses.replace(chosen, image=image * (np.array(size) / filmed), width=size[0], height=size[1])
-    if not isinstance(frames, Path):
-        frames = [frames[k] for k in numbers]
-    return Footage(name, frames, numbers, masks, filmed, size, lens, chosen), landmarks.fps or rate
+    paths = film.frames if isinstance(film.frames, Path) else [film.frames[k] for k in numbers]
+    return Footage(name, paths, numbers, masks, filmed, size, lens, chosen), rate, notes
 
 
-def _landmarks_file(folder: Path, name: str, options: SourceOptions, alone: bool) -> Path:
+def _ordinal(n: int) -> str:
+    return {2: "second", 3: "third"}.get(n, f"{n}th")
+
+
+def _read_matching(path: Path, film: _Film) -> Landmarks:
+    landmarks = read_landmarks(path)
+    if len(landmarks) != len(film.stems):
+        raise UserError(f"{path} has {len(landmarks)} frames, but the footage of '{film.name}' has {len(film.stems)}")
+    if landmarks.width and landmarks.height and (landmarks.width, landmarks.height) != film.size:
+        raise UserError(
+            f"{path} was made for {landmarks.width}x{landmarks.height} pixels, but the footage of '{film.name}' "
+            f"is {film.size[0]}x{film.size[1]}"
+        )
+    return landmarks
+
+
+def _beside(path: Path, name: str, options: SourceOptions, alone: bool) -> tuple[Path, Path] | None:
+    """Landmarks file and folder of masks that come with the footage at `path`; None when it has neither. UserError when
+    only one of them is there, or when neither is and nothing can look for the person."""
+    landmarks, masks = _landmarks_file(path, name, options, alone), _mask_folder(path, name, options, alone)
+    if landmarks.is_file() and masks.is_dir():
+        return landmarks, masks
+    asked = options.landmarks is not None or options.masks is not None
+    if options.detector is not None and not asked and not landmarks.is_file() and not masks.is_dir():
+        return None
+    missing, option = (masks, "--masks DIR") if landmarks.is_file() else (landmarks, "--landmarks FILE")
+    raise UserError(
+        f"{missing} is missing: give {option}; without landmarks and masks (both) they are found in the footage"
+    )
+
+
+def _landmarks_file(path: Path, name: str, options: SourceOptions, alone: bool) -> Path:
+    """The first that exists of the places where a camera's landmarks may lie, or the most usual of them."""
     given = options.landmarks
     if given is not None and given.is_file() and alone:
         return given
-    base = folder if given is None else given
-    choices = [base / f"landmarks_{name}.npz", base / f"{name}.npz"] + [base / "landmarks.npz"] * alone
-    for path in choices:
-        if path.is_file():
-            return path
-    raise UserError(f"{choices[-1] if alone else choices[0]} is missing: {RAW_VIDEO}; give --landmarks")
+    if path.is_file() and given is None:  # what lies beside a video that was named need not belong to it
+        return path.with_suffix(".npz")
+    base = path if given is None else given
+    choices = [base / "landmarks.npz"] * alone + [base / f"landmarks_{name}.npz", base / f"{name}.npz"]
+    return next((choice for choice in choices if choice.is_file()), choices[0])
 
 
-def _mask_files(folder: Path, name: str, stems: list[str], options: SourceOptions, alone: bool) -> list[Path]:
-    base = options.masks or folder / "masks"
-    base = base / name if (base / name).is_dir() else base
-    if not base.is_dir() or not (alone or base.name == name):
-        raise UserError(f"{base} is missing: {RAW_VIDEO}; give --masks DIR")
-    files = [base / f"{stem}.png" for stem in stems]
+def _mask_folder(path: Path, name: str, options: SourceOptions, alone: bool) -> Path:
+    base = options.masks or (path.with_name(f"{path.stem}_masks") if path.is_file() else path / "masks")
+    return base if alone and not (base / name).is_dir() else base / name
+
+
+def _mask_files(folder: Path, stems: list[str]) -> list[Path]:
+    files = [folder / f"{stem}.png" for stem in stems]
     missing = [path for path in files if not path.is_file()]
     if missing:
         raise UserError(f"{missing[0]} is missing ({len(missing)} of {len(files)} masks): every frame needs its mask")
@@ -253,34 +319,6 @@ def _image(path: Path, flag: int = cv2.IMREAD_COLOR) -> np.ndarray:
     if image is None:
         raise UserError(f"{path} cannot be read as an image: it is damaged or of an unknown format")
     return image
-
-
-def _video_facts(path: Path) -> tuple[int, float | None, tuple[int, int]]:
-    video = cv2.VideoCapture(str(path))
-    count, rate = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), video.get(cv2.CAP_PROP_FPS)
-    size = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
-    opened = video.isOpened()
-    video.release()
-    if not opened or count < 1:
-        raise UserError(f"{path} cannot be read as a video: it is damaged or its codec is unknown to OpenCV")
-    return count, rate if rate and np.isfinite(rate) and rate > 0 else None, size
-
-
-def _video_frames(path: Path, numbers: np.ndarray) -> Iterator[np.ndarray]:
-    """Decoded in order from the start: seeking in compressed video is not exact. `numbers` must increase."""
-    video = cv2.VideoCapture(str(path))
-    try:
-        wanted = iter(numbers)
-        target = next(wanted)
-        for k in range(int(numbers[-1]) + 1):
-            ok, image = video.read()
-            if not ok:
-                raise UserError(f"{path} ends at frame {k}, but frame {numbers[-1]} was asked for: it is damaged")
-            if k == target:
-                yield image
-                target = next(wanted, None)
-    finally:
-        video.release()
 
 
 def read_lenses(path: Path) -> dict[str, Lens]:

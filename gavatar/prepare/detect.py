@@ -1,0 +1,88 @@
+"""Landmarks and masks for footage that has none, and what to tell the user about it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gavatar_runtime.errors import UserError
+
+from .landmarks import Landmarks
+from .pose_network import PoseNetworks
+from .steadiness import STEADY, Steadiness
+from .track import Tracked, track
+
+
+@dataclasses.dataclass(frozen=True)
+class Detection:
+    """landmarks: of the chosen frames, filmed pixels. mask_files: one per chosen frame. notes: sentences for the
+    user."""
+
+    landmarks: Landmarks
+    mask_files: list[Path]
+    notes: list[str]
+
+
+class Detector:
+    """Finds the person in one camera's footage after the other and keeps the masks in `folder`."""
+
+    def __init__(self, folder: Path, network: Path | None = None, progress: bool = True):
+        self.folder, self.progress = folder, progress
+        self.networks = PoseNetworks(network)
+
+    def __call__(
+        self, name: str, images: Callable[[], Iterable[np.ndarray]], numbers: np.ndarray, fps: float | None
+    ) -> Detection:
+        """images: gives the chosen frames, numbered `numbers` in the source, each time it is called. Raises UserError
+        when nobody is found."""
+        folder = self.folder / name
+        folder.mkdir(parents=True, exist_ok=True)
+        files = [folder / f"{number:06d}.png" for number in numbers]
+        steadiness = Steadiness()
+
+        def write(t: int, mask: np.ndarray) -> None:
+            if not cv2.imwrite(str(files[t]), mask):
+                raise UserError(f"{files[t]} could not be written: is the disk full?")
+
+        tracked = track(images, len(numbers), write, self.networks, f"'{name}'", fps, self.progress, steadiness.add)
+        return Detection(tracked.landmarks, files, notes(name, numbers, tracked, steadiness.moved))
+
+
+def notes(name: str, numbers: np.ndarray, tracked: Tracked, moved: float | None) -> list[str]:
+    """What a user should know of the footage of camera `name`, one sentence each, the worst first."""
+    said = []
+    missing = ~(tracked.landmarks.visibility > 0).any(1)
+    if moved is not None and moved > STEADY:
+        said.append(
+            f"{name}: the camera moves (the background by {100 * moved:.1f} % of the picture), but a camera that "
+            "stands still is assumed: put it on something"
+        )
+    if tracked.people > 1:
+        said.append(f"{name}: {tracked.people} people are in the picture; the largest is followed")
+    if missing.any():
+        said.append(f"{name}: nobody is found in {_frames(numbers[missing], len(numbers))}; those are bridged")
+    sides = [side for side, cut in zip(("left", "top", "right", "bottom"), tracked.cut.T, strict=True)
+             if cut.mean() > 0.05]  # fmt: skip
+    if sides:
+        share = tracked.cut.any(1)
+        said.append(
+            f"{name}: the person is cut off at the {' and '.join(sides)} edge of the picture in "
+            f"{_frames(numbers[share], len(numbers))}: what is outside cannot be learnt"
+        )
+    known = np.isfinite(tracked.sharpness)
+    if known.sum() >= 5:
+        typical = np.median(tracked.sharpness[known])
+        blurred = known & (np.nan_to_num(tracked.sharpness) < 0.35 * typical)
+        if blurred.any():
+            said.append(f"{name}: {_frames(numbers[blurred], len(numbers))} blurred beside the others: leave them "
+                        "out with --frames, or move more slowly")  # fmt: skip
+    return said
+
+
+def _frames(chosen: np.ndarray, count: int) -> str:
+    few = ", ".join(str(n) for n in chosen[:6]) + (", ..." if len(chosen) > 6 else "")
+    return f"{len(chosen)} of {count} frames ({few})"
