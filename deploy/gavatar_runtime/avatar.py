@@ -11,7 +11,7 @@ from .bundle import Bundle, read_bundle
 from .errors import UserError
 from .gaussians import Gaussians
 from .motion import Motion
-from .skeletons import fit_motion
+from .skeletons import fit_motion, scaled_to_legs
 from .skinning import skin
 from .surface import positional_map
 
@@ -58,6 +58,7 @@ class Avatar:
         Raises UserError for a NaN or infinite pose or translation.
         """
         motion, ignored = fit_motion(motion, self.joint_names)
+        motion = scaled_to_legs(motion, self.joint_names, self.joints)
         for key, array in (("pose", motion.poses), ("translation", motion.trans)):
             bad = ~np.isfinite(array.reshape(len(array), -1)).all(1)
             if bad.any():

@@ -15,6 +15,8 @@ class Motion:
 
     poses: (T, J, 3) axis-angle relative to the parent joint, radians. trans: (T, 3) metres, added after posing.
     fps: frames per second. betas: (B,) shape coefficients or None. name: for messages and file names.
+    leg_length: metres from hip to ankle of the person whose `trans` this is, where that person is not the body's shape;
+    a body that plays the motion walks in proportion to its own legs. None leaves `trans` alone.
     """
 
     poses: np.ndarray
@@ -22,6 +24,7 @@ class Motion:
     fps: float
     betas: np.ndarray | None = None
     name: str = "motion"
+    leg_length: float | None = None
 
     def __len__(self) -> int:
         return len(self.poses)

@@ -50,3 +50,15 @@ def fit_motion(motion: Motion, joint_names: tuple[str, ...]) -> tuple[Motion, tu
         elif motion.poses[:, j].any():
             ignored.append(name)
     return dataclasses.replace(motion, poses=poses), tuple(ignored)
+
+
+def scaled_to_legs(motion: Motion, joint_names: tuple[str, ...], joints: np.ndarray) -> Motion:
+    """The motion with its `trans` scaled from the legs that it was made with to those of a body at rest, whose joints
+    (J, 3) are in metres; unchanged when it does not say or the body has no such joints."""
+    names = ("left_hip", "left_knee", "left_ankle")
+    if motion.leg_length is None or not set(names) <= set(joint_names):
+        return motion
+    hip, knee, ankle = (joints[joint_names.index(name)] for name in names)
+    leg = float(np.linalg.norm(hip - knee) + np.linalg.norm(knee - ankle))
+    trans = (motion.trans * (leg / motion.leg_length)).astype(motion.trans.dtype)
+    return dataclasses.replace(motion, trans=trans, leg_length=leg)
