@@ -1,12 +1,12 @@
 """A motion of any rig on the skeleton of the SMPL family.
 
 Rest poses differ: a T-pose, arms hanging, a splayed stance, another axis upwards. So orientations are carried over as
-what they do to a bone: at every frame a limb of the body points where the rig's limb points, and everything else (spine,
-head, collars, hands, feet) turns from an upright stance as far as the rig's does from its own.
+what they do to a bone: at every frame a limb of the body points where the rig's limb points, and everything else
+(spine, head, collars, hands, feet) turns from an upright stance as far as the rig's does from its own.
 
-Per joint, with R(t) the rig's world orientation relative to its rest, B the rotation from the body's upright frame (left
-x, up y, front z) to the rig's at rest, W the one from the rig's world to the y-up world and a the shortest rotation that
-takes B's image of the body's resting bone to the rig's::
+Per joint, with R(t) the rig's world orientation relative to its rest, B the rotation from the body's upright frame
+(left x, up y, front z) to the rig's at rest, W the one from the rig's world to the y-up world and a the shortest
+rotation that takes B's image of the body's resting bone to the rig's::
 
     R_body(t) = W R(t) a B
 """
@@ -27,7 +27,7 @@ from .rotations import (
 )
 from .skeletons import SMPLH
 
-# Unit directions from a joint of the resting body to the next, left side; the right mirrors x (two decimals are a degree)
+# Unit directions from a joint of the resting body to the next, left side; the right mirrors x
 RESTING_LIMBS = {
     "hip": ("knee", (0.14, -0.99, -0.03)),
     "knee": ("ankle", (-0.11, -0.99, -0.08)),
@@ -58,8 +58,8 @@ def retarget(bvh: Bvh, mapping: dict[str, int], *, up: str, scale: float, name: 
     missing = [joint for joint in NEEDED if joint not in mapping]
     if missing:
         raise UserError(
-            f"{source}: no joint of the rig is known as {', '.join(missing)} (it has {', '.join(bvh.names[:40])}); give "
-            "a mapping file {SMPL joint: joint of the rig} by the option mapping"
+            f"{source}: no joint of the rig is known as {', '.join(missing)} (it has {', '.join(bvh.names[:40])}); "
+            "give a mapping file {SMPL joint: joint of the rig} by the option mapping"
         )
     rest = bvh.places()[0]
     B = _stance(rest, mapping, source)

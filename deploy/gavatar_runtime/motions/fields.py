@@ -132,7 +132,7 @@ class SmplFields:
     def _part(self, keys: tuple[str, ...], width: int | None) -> np.ndarray:
         key = keys[0]
         array = self._numbers(key)
-        array = array.reshape(1, -1) if array.ndim == 1 else array.reshape(len(array), -1)
+        array = array.reshape(1, -1) if array.ndim == 1 else array.reshape(len(array), int(np.prod(array.shape[1:])))
         if width is not None and array.shape[1] != width:
             raise UserError(f"{self.path}: {key} holds {array.shape[1]} numbers a frame, expected {width}")
         return self._finite(key, array)

@@ -21,8 +21,8 @@ UPSTREAM_FPS = 30.0  # of phone video; upstream's files do not say either
 
 @dataclasses.dataclass
 class PickleOptions:
-    """up: the file's vertical axis, `y`, `z`, `-y` or `auto`: the one that the pelvis points along on average. fps: 0 is
-    the file's own or, where it states none, the format's: 60 for AIST++, 30 for .pth."""
+    """up: the file's vertical axis, `y`, `z`, `-y` or `auto`: the one that the pelvis points along on average. fps: 0
+    is the file's own or, where it states none, the format's: 60 for AIST++, 30 for .pth."""
 
     up: str = "auto"
     fps: float = 0.0
