@@ -5,14 +5,13 @@ from __future__ import annotations
 import io
 import math
 import os
-import pickle
 import zipfile
-from collections import OrderedDict
 from typing import Any
 
 import numpy as np
 
 from .errors import UserError
+from .safe_pickle import _Machine, _plain, _Refused
 
 _STORAGES = {
     "FloatStorage": "<f4", "DoubleStorage": "<f8", "HalfStorage": "<f2", "LongStorage": "<i8", "IntStorage": "<i4",
@@ -34,7 +33,7 @@ def load_torch(path: str | os.PathLike) -> Any:
             root = pickles[0].removesuffix("data.pkl")
             if f"{root}byteorder" in file.namelist() and file.read(f"{root}byteorder") != b"little":
                 raise UserError(f"{path} was written on a big-endian machine: save it again on another")
-            return _Unpickler(io.BytesIO(file.read(pickles[0])), file, root).load()
+            return _plain(_TorchMachine(io.BytesIO(file.read(pickles[0])), file, root).load())
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
     except _Refused as error:
@@ -51,10 +50,6 @@ def load_torch(path: str | os.PathLike) -> Any:
     except Exception as error:  # whatever a hostile or damaged stream makes the machine stumble over
         cause = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise UserError(f"{path} is not a readable file of tensors ({cause})") from None
-
-
-class _Refused(Exception):
-    """A name that is not in the table."""
 
 
 class _Storage:
@@ -88,8 +83,8 @@ def _parameter(data: np.ndarray, *_: Any) -> np.ndarray:
     return data
 
 
-class _Unpickler(pickle.Unpickler):
-    """The standard machine with a closed table: tensors, their storages and OrderedDict."""
+class _TorchMachine(_Machine):
+    """The restricted machine with tensors and their storages added to its table."""
 
     def __init__(self, stream: io.BytesIO, file: zipfile.ZipFile, root: str):
         super().__init__(stream)
@@ -97,14 +92,14 @@ class _Unpickler(pickle.Unpickler):
 
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) == ("collections", "OrderedDict"):
-            return OrderedDict
+            return dict
         if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
             return _tensor
         if (module, name) == ("torch._utils", "_rebuild_parameter"):
             return _parameter
         if module == "torch" and name in _STORAGES:
             return _Storage(_STORAGES[name])
-        raise _Refused(f"{module}.{name}")
+        return super().find_class(module, name)
 
     def persistent_load(self, pid: Any) -> np.ndarray:
         kind, storage, key, _, count = pid

@@ -184,7 +184,7 @@ class SmplFields:
         """(T, ...) as float32; what overflows there counts as infinite too."""
         with np.errstate(over="ignore"):
             array = np.asarray(array, np.float32)
-        bad = ~np.isfinite(array.reshape(len(array), -1)).all(1)
+        bad = ~np.isfinite(array).all(tuple(range(1, array.ndim)))
         if bad.any():
             where = "" if key == "betas" else f", first at frame {int(np.argmax(bad))}"
             raise UserError(f"{self.path}: {key} holds NaN or infinite values{where}")
