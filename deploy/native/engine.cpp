@@ -193,6 +193,15 @@ Projection make_projection(const GvGaussians& gaussians, const GvCamera& camera)
   p.tiles_y = (camera.height + TILE - 1) / TILE;
   p.granularity = 0;
   while (p.granularity < 3 && gaussians.count > (1ll << (32 - 4 * (3 - p.granularity)))) p.granularity++;
+  const int g = p.granularity, b = 3 - g;
+  for (uint32_t code = 0; code < 1u << 2 * b; code++) {
+    uint32_t first = (code & ((1u << b) - 1)) << g, last = ((code >> b) << g) + (1u << g) - 1;
+    p.columns[code] = p.rows[code] = 0;
+    for (uint32_t i = first; i <= last; i++) {
+      p.columns[code] |= 0x0101010101010101ull << i;
+      p.rows[code] |= 0xffull << 8 * i;
+    }
+  }
   p.grow = grow_bins;
   return p;
 }
