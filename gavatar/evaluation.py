@@ -100,11 +100,19 @@ def pose_features(avatar: Avatar, built: AvatarBuild, poses: np.ndarray) -> Tens
 class Evaluator:
     """Renders a run's avatar for views of its capture.
 
-    perceptual: a function of two (1, 3, H, W) images, or None to leave that column out.
+    perceptual: a function of two (1, 3, H, W) images, or None to leave that column out. device: where the run's avatar
+    is moved to, rendered and scored.
     """
 
-    def __init__(self, run: Run, perceptual: Callable[[Tensor, Tensor], Tensor] | None = None, progress: bool = True):
-        self.run, self.perceptual, self.progress = run, perceptual, progress
+    def __init__(
+        self,
+        run: Run,
+        perceptual: Callable[[Tensor, Tensor], Tensor] | None = None,
+        progress: bool = True,
+        device: str | torch.device = "cpu",
+    ):
+        self.run, self.perceptual, self.progress, self.device = run, perceptual, progress, torch.device(device)
+        run.avatar.to(self.device)
         self.rasterize = build_rasterizer(run.config.rasterizer)
         self._static = None
         if run.avatar.encoder is None:
@@ -114,20 +122,24 @@ class Evaluator:
     @torch.no_grad()
     def render(self, view: View, motion: Motion) -> np.ndarray:
         """(H, W, 3) float32 image of the avatar on white in the pose that `motion` has at the view's frame."""
+        return self._render(view, motion).cpu().numpy()
+
+    def _render(self, view: View, motion: Motion) -> Tensor:
         run = self.run
         poses = check_motion_fits(motion.poses[view.frame][None], run.built.body.data.num_joints)
         attributes = self._static or run.avatar.attributes(pose_features(run.avatar, run.built, poses))
         table = MotionTable(Motion(poses, motion.trans[view.frame][None], motion.fps), poses.shape[1])
-        (gaussians,) = run.avatar.pose(attributes, *table())
-        return self.rasterize(gaussians, run.capture.cameras[view.camera], WHITE).color.numpy()
+        (gaussians,) = run.avatar.pose(attributes, *table.to(self.device)())
+        return self.rasterize(gaussians, run.capture.cameras[view.camera], WHITE).color
 
+    @torch.no_grad()
     def score(self, split: str, poses: str, views: Sequence[View], motion: Motion) -> SplitScore:
         """Scores of `views` with the poses of `motion`, and its joint error over their frames where truth exists."""
         scores = []
         for view in tqdm(views, desc=f"{split}, {poses} poses", unit="view", disable=not self.progress, leave=False):
             color, alpha = self.run.capture.load(view)
-            target = torch.from_numpy(color + (1 - alpha[..., None])).permute(2, 0, 1)[None]
-            image = torch.from_numpy(self.render(view, motion)).permute(2, 0, 1)[None].clamp(0, 1)
+            target = torch.from_numpy(color + (1 - alpha[..., None])).permute(2, 0, 1)[None].to(self.device)
+            image = self._render(view, motion).permute(2, 0, 1)[None].clamp(0, 1)
             distance = None if self.perceptual is None else float(self.perceptual(image, target))
             scores.append(ViewScore(view, float(psnr(image, target)), float(ssim(image, target)), distance))
         result = SplitScore(split, poses, scores)
@@ -151,7 +163,8 @@ def fit_motion(
     """See `Evaluator.fit`."""
     capture, config, avatar = run.capture, run.config, run.avatar
     data = footage(capture, list(views), load_full(capture, list(views)), image_scale, config.crop)
-    table = MotionTable(capture.motion, run.built.body.data.num_joints, config.motion.joints)
+    device = avatar.features.device
+    table = MotionTable(capture.motion, run.built.body.data.num_joints, config.motion.joints).to(device)
     frames = sorted({view.frame for view in views})
     row = {frame: i for i, frame in enumerate(frames)}
     poses = check_motion_fits(capture.motion.poses[frames], run.built.body.data.num_joints)
@@ -168,7 +181,7 @@ def fit_motion(
     with torch.no_grad():
         for i, frame in enumerate(frames):
             attributes[frame] = static or avatar.attributes(pose_features(avatar, run.built, poses[i : i + 1]))
-    times = torch.tensor(frames, dtype=torch.float32) / table.fps
+    times = torch.tensor(frames, dtype=torch.float32, device=device) / table.fps
     chunk = 8
     for step in tqdm(range(steps), desc="fitting held-out poses", unit="step", disable=not progress, leave=False):
         factor = 0.5 * (1 + np.cos(np.pi * step / max(1, steps)))
@@ -186,7 +199,7 @@ def fit_motion(
                 rendering = rasterize(gaussians, camera, WHITE)
                 images.append(rendering.color.permute(2, 0, 1))
                 alphas.append(rendering.alpha)
-            target, mask = data.batch(part, torch.ones(3), torch.device("cpu"))
+            target, mask = data.batch(part, torch.ones(3), device)
             motion = MotionState(
                 rotations=rotations,
                 rotations_initial=table.initial_rotations[frames],
@@ -198,7 +211,7 @@ def fit_motion(
                 render=torch.stack(images), target=target, alpha=torch.stack(alphas), mask=mask, motion=motion
             )
             losses(inputs)[0].backward()
-        optimizer.step(torch.tensor(frames))
+        optimizer.step(torch.tensor(frames, device=device))
     return table.motion("fitted")
 
 
@@ -210,8 +223,8 @@ def motion_errors(built: AvatarBuild, motion: Motion, truth: Motion, frames: Seq
     def joints(m: Motion) -> np.ndarray:
         table = MotionTable(Motion(m.poses[frames], m.trans[frames], m.fps), len(skeleton.parents))
         with torch.no_grad():
-            rotations, trans = table()
-            return (skeleton.posed_joints(rotations) + trans[:, None]).numpy()
+            rotations, trans = table.to(skeleton.joints.device)()
+            return (skeleton.posed_joints(rotations) + trans[:, None]).cpu().numpy()
 
     return joint_errors(joints(motion), joints(truth))
 
@@ -279,10 +292,11 @@ def evaluate(
     fit_steps: int = 60,
     perceptual: bool = True,
     progress: bool = True,
+    device: str | torch.device = "cpu",
 ) -> Evaluation:
     """Score every split of the run's capture (or the named ones). fit_steps 0 leaves out rows with fitted poses."""
     metric, name = perceptual_metric() if perceptual else (None, None)
-    evaluator = Evaluator(run, metric, progress)
+    evaluator = Evaluator(run, metric, progress, device)
     capture = run.capture
     sources = {"refined": run.motion.motion(), "estimated": capture.motion, "true": capture.truth}
     rows, pictures = [], []

@@ -1,0 +1,264 @@
+"""The paper's ablation on one capture: baseline, +opt (motion), +opt+dyn (pose encoder), for several presets and seeds.
+
+python benchmarks/ablation.py CAPTURE --presets paper,upstream,default --seeds 0,1 --uv 256 --steps 1500/600 \
+    --device cuda --jobs 4 --out runs/ablation --json ablation.json
+
+Every run of one call has the same data, images, atlas and step counts; what differs is the preset, whether motion
+is optimised, and stage 2. `+opt, as long` (--control) trains stage 1 for the steps of both stages: what dynamics add
+beyond more training. Scores are of whole frames on white. Held-out frames are rendered with the true poses, and with
+--fit apart with poses fitted to them, the avatar frozen. Runs are processes of their own, --jobs at a time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gavatar.config import check, compose_config
+from gavatar.evaluation import Evaluation, Evaluator, evaluate, motion_errors
+from gavatar.files import write_image, write_json
+from gavatar.reporting import format_table
+from gavatar.training.preview import error_map
+from gavatar.training.run import open_run, train
+from gavatar_runtime.errors import exit_cleanly
+
+PRESETS = ("paper", "upstream", "default")
+KINDS = {"baseline": {1: "baseline"}, "avatar": {1: "+opt", 2: "+opt+dyn"}, "control": {1: "+opt, as long"}}
+VARIANTS = ["baseline", "+opt", "+opt, as long", "+opt+dyn"]
+SPLITS = ["test", "novel_pose", "novel_view"]
+UPSTREAM_STEPS = 11000  # of its stage 1; its warm-up of the scales takes 1000 of them
+
+
+def arguments(argv: list[str] | None = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("capture", type=Path, help="a capture with true poses, for example studio_male")
+    parser.add_argument("--presets", default=",".join(PRESETS), help="experiments to compare (%(default)s)")
+    parser.add_argument("--seeds", default="0", help="comma-separated (%(default)s)")
+    parser.add_argument("--uv", type=int, help="side of the last level's atlas; coarser levels shrink alike")
+    parser.add_argument(
+        "--image", type=float, default=1.0, help="factor on the image scale of every level (%(default)s)"
+    )
+    parser.add_argument("--steps", help="S1/S2, of the two stages; by default the preset's own")
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--jobs", type=int, default=1, help="runs at a time (%(default)s)")
+    parser.add_argument("--minutes", type=float, help="start no run after this long; what was left out is said")
+    parser.add_argument("--fit", type=int, default=0, help="steps of fitting held-out poses, 0 for none (%(default)s)")
+    parser.add_argument("--every", type=int, default=1, help="score each Nth view of a split (%(default)s)")
+    parser.add_argument("--control", action="store_true", help="also `+opt, as long`")
+    parser.add_argument("--no-perceptual", action="store_true")
+    parser.add_argument("--out", type=Path, default=Path("runs/ablation"), help="run directories (%(default)s)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="rows of preset, variant, split and seed")
+    parser.add_argument(
+        "--figure", type=Path, metavar="FILE", help="picture of the last preset's first seed (jpg, png)"
+    )
+    parser.add_argument("--one", nargs=3, metavar=("PRESET", "KIND", "SEED"), help=argparse.SUPPRESS)
+    parser.add_argument("override", nargs="*", help="Hydra overrides for every run, for example decoder.scale_limit=2")
+    return parser.parse_intermixed_args(argv)
+
+
+def overrides(args: argparse.Namespace, preset: str, kind: str, seed: str) -> list[str]:
+    """The configuration of one run as Hydra overrides: the preset at this call's sizes and step counts."""
+    base = [f"capture={args.capture}", f"experiment={preset}", *args.override]
+    config = check(compose_config([*base, "out=unused"]))
+    steps = [int(s) for s in args.steps.split("/")] if args.steps else [config.stage1.steps, config.stage2.steps]
+    # upstream leaves motion optimisation to a switch: +opt is that switch thrown
+    out = [*base, f"motion.enabled={str(kind != 'baseline').lower()}", f"seed={seed}", f"device={args.device}"]
+    out += [f"out={run_directory(args, preset, kind, seed)}", "progress=false"]
+    out += ["preview_every=1000000", "checkpoint_every=1000000"]
+    out += [f"stage1.steps={sum(steps) if kind == 'control' else steps[0]}"]
+    out += [f"stage2.steps={steps[1] if kind == 'avatar' else 0}"]
+    if config.decoder["name"] == "upstream":
+        out.append(f"decoder.scale_warmup={max(1, round(config.decoder['scale_warmup'] * steps[0] / UPSTREAM_STEPS))}")
+    for stage in ("stage1", "stage2"):
+        levels = getattr(config, stage).levels
+        factor = args.uv / levels[-1].uv if args.uv else 1
+        sized = [
+            f"{{until: {x.until}, uv: {max(64, round(x.uv * factor / 8) * 8)}, image: {x.image * args.image}}}"
+            for x in levels
+        ]
+        out.append(f"{stage}.levels=[{', '.join(sized)}]")
+    return out
+
+
+def run_directory(args: argparse.Namespace, preset: str, kind: str, seed: str) -> Path:
+    return args.out / f"{preset}_{kind}_{seed}"
+
+
+def one(args: argparse.Namespace) -> None:
+    """Train and score one run; its rows go to rows.json of its directory, its pictures beside them."""
+    preset, kind, seed = args.one
+    directory = run_directory(args, preset, kind, seed)
+    trainer = train(compose_config(overrides(args, preset, kind, seed)), directory)
+    rows = []
+    for stage, variant in KINDS[kind].items():
+        run = open_run(directory, stage)
+        for split, views in run.capture.splits.items():
+            run.capture.splits[split] = views[:: args.every] if split != "train" else views
+        result = evaluate(run, SPLITS, args.fit, not args.no_perceptual, False, trainer.device)
+        rows += _rows(result, preset, variant, seed, sum(trainer.seconds[n] for n in range(1, stage + 1)))
+        _pictures(args, run, directory / "pictures" / variant.strip("+").replace("+", "_"), trainer.device)
+    write_json(directory / "rows.json", rows)
+
+
+def _rows(result: Evaluation, preset: str, variant: str, seed: str, seconds: float) -> list[dict]:
+    run = result.run
+    frames = sorted({view.frame for view in run.capture.views("train")})
+    after = (None, None)
+    if run.capture.truth is not None:
+        after = motion_errors(run.built, run.motion.motion(), run.capture.truth, frames)
+    before = result.estimated_mpjpe_mm or (None, None)
+    about = {"preset": preset, "variant": variant, "seed": int(seed), "gaussians": len(run.avatar.surface)}
+    about |= {"train_seconds": round(seconds, 1), "perceptual_network": result.perceptual_name}
+    for name, values in (("before", before), ("after", after)):
+        about |= {f"train_mpjpe_{name}_mm": _rounded(values[0]), f"train_pa_mpjpe_{name}_mm": _rounded(values[1])}
+    return [about | row.as_json() for row in result.rows]
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)
+
+
+def pictured(capture) -> list:
+    """A few views that show front, back, side and held-out motion."""
+    views = [capture.splits[s] for s in SPLITS if capture.splits.get(s)]
+    cameras = {view.camera: view for view in capture.splits.get("novel_view") or []}  # the last frame of each camera
+    return [
+        views[0][len(views[0]) // 2],
+        views[0][-1],
+        capture.views("novel_pose")[len(views[1]) // 2],
+        *cameras.values(),
+    ]
+
+
+def _pictures(args: argparse.Namespace, run, folder: Path, device) -> None:
+    evaluator = Evaluator(run, progress=False, device=device)
+    folder.mkdir(parents=True, exist_ok=True)
+    motion = run.capture.truth or run.capture.motion
+    for number, view in enumerate(pictured(run.capture)):
+        color, alpha = run.capture.load(view)
+        write_image(folder / f"{number}_target.png", color + (1 - alpha[..., None]))
+        write_image(folder / f"{number}.png", evaluator.render(view, motion))
+
+
+def figure(args: argparse.Namespace, preset: str, seed: str, path: Path) -> None:
+    """Columns are views; rows are the footage, every variant, and the error of the first and the last of them."""
+    root = args.out
+    cells = {}
+    for variant, kind in {"baseline": "baseline", "opt": "avatar", "opt_dyn": "avatar"}.items():
+        folder = root / f"{preset}_{kind}_{seed}" / "pictures" / variant
+        cells[variant] = [_read(p) for p in sorted(folder.glob("?.png"))]
+        targets = [_read(p) for p in sorted(folder.glob("?_target.png"))]
+    rows = [targets, *cells.values()]
+    rows += [[error_map(t, r) for t, r in zip(targets, cells[v], strict=True)] for v in cells]
+    boxes = [_person(target) for target in targets]
+    picture = np.concatenate([np.concatenate([_cut(c, b) for c, b in zip(row, boxes, strict=True)], 1) for row in rows])
+    write_image(path, picture)
+
+
+def _read(path: Path) -> np.ndarray:
+    return cv2.imread(str(path))[..., ::-1].astype(np.float32) / 255
+
+
+def _person(image: np.ndarray) -> tuple[int, int, int]:
+    """The centre and side of a square about what is not white."""
+    rows, columns = np.nonzero((image < 0.97).any(-1))
+    side = int(1.1 * max(np.ptp(rows), np.ptp(columns)))
+    return (rows.min() + rows.max()) // 2, (columns.min() + columns.max()) // 2, min(side, *image.shape[:2])
+
+
+def _cut(image: np.ndarray, box: tuple[int, int, int], size: int = 256) -> np.ndarray:
+    y, x, side = box
+    top, left = (int(np.clip(c - side // 2, 0, n - side)) for c, n in ((y, image.shape[0]), (x, image.shape[1])))
+    return cv2.resize(image[top : top + side, left : left + side], (size, size), interpolation=cv2.INTER_AREA)
+
+
+def table(rows: list[dict]) -> str:
+    """Mean and, over several seeds, the spread (largest minus smallest) of each preset, variant and split."""
+    header = ["preset, variant", "split, poses", "PSNR", "spread", "SSIM", "perceptual", "worst", "MPJPE", "PA", "s"]
+    groups: dict[tuple, list[dict]] = {}
+    for row in rows:
+        groups.setdefault((row["preset"], row["variant"], row["split"], row["poses"]), []).append(row)
+
+    def mean(group: list[dict], key: str, digits: int) -> str:
+        values = [row[key] for row in group if row[key] is not None]
+        return f"{np.mean(values):.{digits}f}" if values else "-"
+
+    lines = []
+    for (preset, variant, split, poses), group in groups.items():
+        psnr = [row["psnr"] for row in group]
+        numbers = [mean(group, k, d) for k, d in (("ssim", 4), ("perceptual", 4), ("worst_psnr", 2))]
+        joints = [mean(group, k, 1) for k in ("train_mpjpe_after_mm", "train_pa_mpjpe_after_mm")]
+        spread = f"{np.ptp(psnr):.2f}" if len(psnr) > 1 else "-"
+        lines.append([f"{preset} {variant}", f"{split}, {poses}", f"{np.mean(psnr):.2f}", spread, *numbers, *joints,
+                      mean(group, "train_seconds", 0)])  # fmt: skip
+    return format_table(header, lines)
+
+
+def launch(args: argparse.Namespace, argv: list[str], job: tuple[str, str, str], end: float) -> str | None:
+    """Run one job in a process; None when it went well, else one sentence."""
+    if time.monotonic() > end:
+        return "not started: --minutes were over"
+    directory = run_directory(args, *job)
+    directory.mkdir(parents=True, exist_ok=True)
+    threads = str(max(1, (os.cpu_count() or 1) // args.jobs))
+    environment = os.environ | {"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", threads)}
+    with open(directory / "log.txt", "w", encoding="utf-8") as log:
+        command = [sys.executable, __file__, *argv, "--one", *job]
+        done = subprocess.run(command, stdout=log, stderr=subprocess.STDOUT, env=environment)
+    if done.returncode:
+        last = (directory / "log.txt").read_text(encoding="utf-8").strip().splitlines()[-1:]
+        return f"failed ({done.returncode}): {' '.join(last)}"
+    return None
+
+
+@exit_cleanly
+def main(argv: list[str] | None = None) -> int:
+    argv = list(sys.argv[1:] if argv is None else argv)
+    args = arguments(argv)
+    if args.one:
+        one(args)
+        return 0
+    presets, seeds = args.presets.split(","), args.seeds.split(",")
+    kinds = ["baseline", "avatar", *(["control"] if args.control else [])]
+    jobs = [(preset, kind, seed) for seed in seeds for preset in presets for kind in sorted(kinds)]
+    for job in jobs[: len(presets) * len(kinds)]:
+        overrides(args, *job)  # a mistake is found before anything trains
+    start = time.monotonic()
+    end = start + 60 * args.minutes if args.minutes else float("inf")
+    rows: list[dict] = []
+    faults: dict[str, str] = {}
+
+    def finish(job: tuple[str, str, str]) -> None:
+        fault = launch(args, argv, job, end)
+        if fault:
+            faults["_".join(job)] = fault
+        else:
+            rows.extend(json.loads((run_directory(args, *job) / "rows.json").read_text(encoding="utf-8")))
+        order = {name: i for i, name in enumerate([*presets, *VARIANTS])}
+        rows.sort(
+            key=lambda r: (order[r["preset"]], order[r["variant"]], SPLITS.index(r["split"]), r["poses"], r["seed"])
+        )
+        print(f"{time.monotonic() - start:6.0f} s  {' '.join(job)}  {fault or 'done'}", flush=True)
+        if args.json:
+            about = {"arguments": argv, "seconds": round(time.monotonic() - start, 1), "left_out": faults}
+            write_json(args.json, about | {"protocol": "whole frames on white, mean over views", "rows": rows})
+
+    with ThreadPoolExecutor(args.jobs) as pool:
+        list(pool.map(finish, jobs))
+    print(table(rows))
+    if args.figure and not {f"{presets[-1]}_{kind}_{seeds[0]}" for kind in ("baseline", "avatar")} & set(faults):
+        figure(args, presets[-1], seeds[0], args.figure)
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    main()
