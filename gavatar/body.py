@@ -16,7 +16,7 @@ from gavatar_runtime.body import SMPL_BODY_JOINTS, BodyData
 
 from .rotations import matrix_from_axis_angle
 
-__all__ = ["SMPL_BODY_JOINTS", "Body", "BodyData", "Skeleton", "joint_transforms"]
+__all__ = ["SMPL_BODY_JOINTS", "Body", "BodyData", "PosedBody", "Skeleton", "joint_transforms"]
 
 
 class Body(Protocol):
@@ -43,6 +43,51 @@ def joint_transforms(rotations: Tensor, joints: Tensor, parents: list[int]) -> t
             R.append(R[parent] @ rotations[..., j, :, :])
             p.append((R[parent] @ bone[..., None])[..., 0] + p[parent])
     return torch.stack(R, -3), torch.stack(p, -2)
+
+
+class PosedBody(torch.nn.Module):
+    """The whole body as a differentiable function of shape, expression, pose and translation.
+
+    `BodyData.posed` is its NumPy reference; both are held against the `smplx` package.
+    """
+
+    def __init__(self, data: BodyData, dtype: torch.dtype = torch.float32):
+        super().__init__()
+        self.parents = [int(p) for p in data.parents]
+        V = len(data.v_template)
+        pose = np.zeros((V, 3, 0)) if data.posedirs is None else data.posedirs
+        expression = np.zeros((V, 3, 0)) if data.exprdirs is None else data.exprdirs
+        arrays = {
+            "v_template": data.v_template, "shapedirs": data.shapedirs, "exprdirs": expression, "posedirs": pose,
+            "J_regressor": data.J_regressor, "weights": data.lbs_weights,
+        }  # fmt: skip
+        for name, array in arrays.items():
+            self.register_buffer(name, torch.as_tensor(array, dtype=dtype), persistent=False)
+
+    def forward(
+        self, poses: Tensor, betas: Tensor | None = None, trans: Tensor | None = None, expression: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """(B, V, 3) vertices and (B, J, 3) joints, metres (SMPL, Loper et al. 2015, equations 2 to 10).
+
+        poses: (B, J, 3) axis-angle of every joint. betas: (B or 1, n), expression: (B or 1, e), the first n and e
+        coefficients. trans: (B or 1, 3) metres.
+        """
+        vertices = self.v_template
+        for coefficients, directions in ((betas, self.shapedirs), (expression, self.exprdirs)):
+            if coefficients is not None:
+                used = directions[:, :, : coefficients.shape[-1]]
+                vertices = vertices + torch.einsum("bn,vcn->bvc", coefficients[:, : used.shape[2]], used)
+        joints = self.J_regressor @ vertices
+        rotations = matrix_from_axis_angle(poses)
+        if self.posedirs.shape[2]:
+            feature = rotations[:, 1:] - torch.eye(3, dtype=poses.dtype, device=poses.device)
+            vertices = vertices + torch.einsum("bp,vcp->bvc", feature.flatten(1), self.posedirs)
+        R, p = joint_transforms(rotations, joints, self.parents)
+        transforms = torch.cat([R, (p - (R @ joints[..., None])[..., 0])[..., None]], -1)
+        blended = (self.weights @ transforms.flatten(-2)).unflatten(-1, (3, 4))
+        posed = (blended[..., :3] @ vertices.expand(len(poses), -1, -1)[..., None])[..., 0] + blended[..., 3]
+        shift = 0 if trans is None else trans[:, None]
+        return posed + shift, p + shift
 
 
 class Skeleton(torch.nn.Module):

@@ -85,7 +85,8 @@ def _fingerprint(body: BodyData, betas: np.ndarray | None, resolution: int, orde
     digest.update(Path(__file__).read_bytes())
     shape = np.zeros(0) if betas is None else np.asarray(betas, np.float64).reshape(-1)
     arrays = (body.v_template, body.shapedirs, body.J_regressor, body.parents, body.lbs_weights, body.faces, body.uv)
-    for array in (shape, body.uv_faces, *arrays):
+    blendshapes = [] if body.posedirs is None else [body.posedirs]
+    for array in (shape, body.uv_faces, *arrays, *blendshapes):
         array = np.asarray(array)
         digest.update(f"{array.dtype}{array.shape}".encode())
         digest.update(array.tobytes())

@@ -26,6 +26,13 @@ class Ch:
     def r(self) -> np.ndarray:
         return self.x
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.r.shape
+
+    def __getitem__(self, item) -> np.ndarray:
+        return self.r[item]
+
     def __array__(self, dtype=None, copy=None) -> np.ndarray:
         """As chumpy's own: what NumPy makes of it."""
         return np.array(self.r, dtype)

@@ -9,7 +9,7 @@ import dataclasses
 
 import numpy as np
 
-from .body import check_motion_fits
+from .body import FACE_JOINTS, check_motion_fits
 from .motion import Motion
 
 BODY = (
@@ -25,16 +25,19 @@ FINGERS = tuple(
 )
 SMPL = (*BODY, "left_hand", "right_hand")
 SMPLH = (*BODY, *FINGERS)
-SMPLX = (*BODY, "jaw", "left_eye_smplhf", "right_eye_smplhf", *FINGERS)
+SMPLX = (*BODY, *FACE_JOINTS, *FINGERS)
 _BY_COUNT = {len(names): names for names in (BODY, SMPL, SMPLH, SMPLX)}
 
 
-def fit_motion(motion: Motion, joint_names: tuple[str, ...]) -> tuple[Motion, tuple[str, ...]]:
+def fit_motion(
+    motion: Motion, joint_names: tuple[str, ...], rest_pose: np.ndarray | None = None
+) -> tuple[Motion, tuple[str, ...]]:
     """The motion with one rotation for each of `joint_names`, and the names of the joints that move in it but that
     the body lacks.
 
     A motion does not name its joints: their number (22, 24, 52 or 55) tells the skeleton. Joints that the motion lacks
-    keep their rest rotation. With any other number the joints are taken to be in the body's order.
+    keep their rest rotation, `rest_pose` (J, 3), zero if None. With any other number the joints are taken to be in the
+    body's order.
     """
     count = motion.poses.shape[1]
     names = tuple(joint_names) if count == len(joint_names) else _BY_COUNT.get(count)
@@ -42,6 +45,8 @@ def fit_motion(motion: Motion, joint_names: tuple[str, ...]) -> tuple[Motion, tu
         surplus = tuple(f"joint {j}" for j in range(len(joint_names), count) if motion.poses[:, j].any())
         return dataclasses.replace(motion, poses=check_motion_fits(motion.poses, len(joint_names))), surplus
     poses = np.zeros((len(motion), len(joint_names), 3), motion.poses.dtype)
+    if rest_pose is not None:
+        poses += rest_pose.astype(poses.dtype)
     ignored = []
     place = {name: j for j, name in enumerate(joint_names)}
     for j, name in enumerate(names):

@@ -1,0 +1,33 @@
+"""SMPL (Loper et al. 2015), from the user's own files."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from gavatar.body_files import official_body
+from gavatar.registry import BODIES
+
+
+@dataclasses.dataclass
+class SmplConfig:
+    """path: model file, or folder that is searched for it before those of $GAVATAR_BODY_MODELS. gender: neutral, male
+    or female. num_betas: shape coefficients, 0 for all. uv: .obj or .npz of the UV atlas, '' to look for it."""
+
+    path: str = ""
+    gender: str = "neutral"
+    num_betas: int = 0
+    uv: str = ""
+
+
+@BODIES.register(
+    "smpl",
+    config=SmplConfig,
+    summary="SMPL: 24 joints, pose blendshapes",
+    needs="the SMPL model and smpl_uv.obj, downloaded by you (docs/bodies.md)",
+)
+class Smpl:
+    """data: the numbers of the model. license: of its files."""
+
+    def __init__(self, config: SmplConfig):
+        self.config = config
+        self.data, self.license = official_body("smpl", config)
