@@ -45,7 +45,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--seeds", default="0", help="comma-separated (%(default)s)")
     parser.add_argument("--uv", type=int, help="side of the last level's atlas; coarser levels shrink alike")
     parser.add_argument(
-        "--image", type=float, default=1.0, help="factor on the image scale of every level (%(default)s)"
+        "--image", type=float, default=1.0, help="factor on the images of every level and of the scores (%(default)s)"
     )
     parser.add_argument("--steps", help="S1/S2, of the two stages; by default the preset's own")
     parser.add_argument("--device", default="auto")
@@ -101,6 +101,8 @@ def one(args: argparse.Namespace) -> None:
     rows = []
     for stage, variant in KINDS[kind].items():
         run = open_run(directory, stage)
+        if args.image != 1:
+            run.capture = run.capture.resized(args.image)
         for split, views in run.capture.splits.items():
             run.capture.splits[split] = views[:: args.every] if split != "train" else views
         result = evaluate(run, SPLITS, args.fit, not args.no_perceptual, False, trainer.device)

@@ -86,6 +86,12 @@ class Capture:
             return np.clip(image - (1 - alpha[..., None]), 0, 1), alpha
         return image * alpha[..., None], alpha
 
+    def resized(self, scale: float) -> Capture:
+        """The same capture with every image area-averaged (enlarged: interpolated) by `scale`, cameras alike."""
+        cameras = {name: camera.scaled(scale) for name, camera in self.cameras.items()}
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(Capture)}
+        return _Resized(**(fields | {"cameras": cameras}), original=self)
+
     def check(self) -> None:
         """Every image and mask the splits name exists, before any work starts; UserError names the first fault."""
         for views in self.splits.values():
@@ -93,6 +99,17 @@ class Capture:
                 for path in (self.image_path(view), self.mask_path(view)):
                     if not path.is_file():
                         raise UserError(f"{path} is missing, though {self.path / 'capture.json'} lists frame {view}")
+
+
+@dataclasses.dataclass
+class _Resized(Capture):
+    original: Capture
+
+    def load(self, view: View) -> tuple[np.ndarray, np.ndarray]:
+        camera = self.cameras[view.camera]
+        color, alpha = self.original.load(view)
+        mode = cv2.INTER_AREA if camera.width < color.shape[1] else cv2.INTER_LINEAR
+        return tuple(cv2.resize(image, (camera.width, camera.height), interpolation=mode) for image in (color, alpha))
 
 
 def _read(path: Path, flag: int, camera: Camera) -> np.ndarray:

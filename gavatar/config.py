@@ -16,6 +16,7 @@ from gavatar_runtime.errors import UserError
 from .avatar import AvatarConfig
 from .losses import loss_config
 from .registry import BODIES, DECODERS, ENCODERS, RASTERIZERS, fill_config_store, load_plugins
+from .training.verdict import check_dynamics
 
 
 @dataclasses.dataclass
@@ -47,7 +48,8 @@ class StageConfig:
 class MotionConfig:
     """How the body motion is optimised in stage 1. enabled: off gives the paper's baseline. lr: radians a step;
     lr_trans: metres a step. start, end: fractions of the stage between which it is optimised. joints: how many of the
-    first joints are corrected."""
+    first joints are corrected. guard: at the end of the stage, frames whose refined pose renders worse than the
+    estimated one get their estimate back."""
 
     enabled: bool = True
     lr: float = 1.5e-2
@@ -55,13 +57,15 @@ class MotionConfig:
     start: float = 0.0
     end: float = 1.0
     joints: int = 22
+    guard: bool = True
 
 
 @dataclasses.dataclass
 class TrainConfig:
     """Everything a run needs. capture: directory. out: run directory. background: `random` colour each step, `white`
     or `black`. crop: render only the window in which the person moves. preview_every, checkpoint_every: steps.
-    overwrite: start afresh even if `out` holds another run."""
+    overwrite: start afresh even if `out` holds another run. dynamics: `always` keeps what stage 2 learns; `auto` only
+    if it gains `dynamics_gain` dB on training views held out of stage 2: else the avatar is static."""
 
     capture: str = MISSING
     out: str = MISSING
@@ -72,6 +76,8 @@ class TrainConfig:
     background: str = "random"
     crop: bool = True
     train_split: str = "train"
+    dynamics: str = "always"
+    dynamics_gain: float = 0.1
     preview_every: int = 200
     checkpoint_every: int = 100
     tensorboard: bool = False
@@ -124,6 +130,7 @@ def check(config: DictConfig) -> TrainConfig:
         loss_config(name, value)
     if typed.background not in ("random", "white", "black"):
         raise UserError(f"background must be random, white or black, not '{typed.background}'")
+    check_dynamics(typed.dynamics, typed.dynamics_gain)
     if not 0 <= typed.motion.start <= typed.motion.end <= 1:
         raise UserError("motion.start and motion.end must be fractions with 0 <= start <= end <= 1")
     return typed

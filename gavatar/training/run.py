@@ -14,7 +14,7 @@ from ..capture import Capture
 from ..config import TrainConfig, check
 from ..files import atomic, load_tensors
 from ..motion import MotionTable
-from .trainer import STAGE_FILES, Trainer, resolved
+from .trainer import REFUSED, STAGE_FILES, Trainer, resolved
 
 CONFIG = "config.yaml"
 
@@ -38,7 +38,7 @@ def train(composed: DictConfig, directory: Path) -> Trainer:
             )
     trainer = Trainer(config, directory)  # everything that can be wrong is found before the old run is touched
     if config.overwrite:
-        for name in ("checkpoint.pt", "metrics.json", "motion.npz", *STAGE_FILES.values()):
+        for name in ("checkpoint.pt", "metrics.json", "motion.npz", REFUSED, *STAGE_FILES.values()):
             (directory / name).unlink(missing_ok=True)
     directory.mkdir(parents=True, exist_ok=True)
     plain = dataclasses.asdict(config) | {"overwrite": False}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import time
 from pathlib import Path
 from typing import Any
@@ -24,9 +25,13 @@ from ..motion import MotionTable, RowAdam
 from .data import Footage, footage, load_full
 from .preview import as_image, side_by_side
 from .stage import background_at, batch_rows, level_at, lr_factor
+from .verdict import dynamics_verdict, held_out_rows, refuse_worse_poses, view_errors
+
+log = logging.getLogger("gavatar.training")
 
 CHECKPOINT = "checkpoint.pt"
 STAGE_FILES = {1: "stage1.pt", 2: "stage2.pt"}
+REFUSED = "stage2_refused.pt"  # what dynamics=auto found not worth keeping
 
 
 class Trainer:
@@ -60,6 +65,7 @@ class Trainer:
         self._maps: Tensor | None = None
         self.history: list[dict[str, Any]] = []
         self.seconds = {1: 0.0, 2: 0.0}
+        self.verdicts: dict[str, Any] = {}
         self._board = _tensorboard(self.directory) if config.tensorboard else None
 
     def run(self) -> None:
@@ -69,6 +75,7 @@ class Trainer:
             self.avatar.load_state_dict(state["avatar"])
             self.motion.load_state_dict(state["motion"])
             self.history, self.seconds = state["history"], state["seconds"]
+            self.verdicts = state.get("verdicts", {})
         for number in self._stages():
             if state is not None and number < state["stage"]:
                 continue
@@ -106,6 +113,7 @@ class Trainer:
                 "finished": finished,
                 "seconds": {f"stage{k}": round(v, 2) for k, v in self.seconds.items()},
                 "gaussians": len(self.avatar.surface.points) if self.avatar.surface is not None else None,
+                "verdicts": self.verdicts,
                 "history": self.history,
             },
         )
@@ -143,6 +151,8 @@ class _Stage:
         avatar.features.requires_grad_(number == 1)
         avatar.smooth.requires_grad_(number == 1)
         motion.requires_grad_(self.moves)
+        self.held_out = held_out_rows(len(trainer.views)) if number == 2 and trainer.config.dynamics == "auto" else []
+        self.rows = [row for row in range(len(trainer.views)) if row not in set(self.held_out)]
 
     def run(self, resume: dict[str, Any] | None) -> None:
         start = 0
@@ -152,6 +162,9 @@ class _Stage:
             self.motion_optimizer.load_state_dict(resume["motion_optimizer"])
         trainer, steps = self.trainer, self.config.steps
         trainer.avatar.train()
+        if self.held_out and "static_errors" not in trainer.verdicts:
+            trainer.avatar.sample_at(trainer.built.surface(trainer.config.stage1.levels[-1].uv))
+            trainer.verdicts["static_errors"] = view_errors(trainer, self.held_out, 1).tolist()
         bar = tqdm(
             total=steps, initial=start, desc=f"stage {self.number}", unit="step", disable=not trainer.config.progress
         )
@@ -176,8 +189,28 @@ class _Stage:
         trainer.seconds[self.number] += time.perf_counter() - clock
         if steps == 0:
             trainer.avatar.sample_at(trainer.built.surface(self.config.levels[-1].uv))
-        save_tensors(trainer.directory / STAGE_FILES[self.number], self._avatar_state())
+        if self.moves and trainer.config.motion.guard and start < steps:
+            trainer.verdicts["frames_kept_as_estimated"] = refuse_worse_poses(trainer)
+        save_tensors(trainer.directory / self._judged(), self._avatar_state())
         self._save(steps)
+
+    def _judged(self) -> str:
+        """The file that this stage's result goes to; with dynamics=auto, not stage2.pt if it does not pay."""
+        trainer = self.trainer
+        if not self.held_out:
+            return STAGE_FILES[self.number]
+        dynamic = view_errors(trainer, self.held_out, 2)
+        verdict = dynamics_verdict(np.array(trainer.verdicts["static_errors"]), dynamic, trainer.config.dynamics_gain)
+        trainer.verdicts["dynamics"] = verdict
+        if verdict["kept"]:
+            return STAGE_FILES[2]
+        log.warning(
+            "dynamics are not worth their cost in this capture: %+.2f dB on %d views that stage 2 did not see; "
+            "the avatar is the static one of stage 1",
+            verdict["gain_db"],
+            verdict["views"],
+        )
+        return REFUSED
 
     def _avatar_state(self) -> dict[str, Any]:
         trainer = self.trainer
@@ -200,6 +233,7 @@ class _Stage:
                 "motion_optimizer": self.motion_optimizer.state_dict(),
                 "history": trainer.history,
                 "seconds": trainer.seconds,
+                "verdicts": trainer.verdicts,
             },
         )
 
@@ -222,7 +256,8 @@ class _Stage:
     def _step(self, step: int) -> dict[str, float]:
         trainer, config = self.trainer, self.trainer.config
         data, progress = self._prepare(step)
-        rows = batch_rows(config.seed + self.number, len(data.views), self.config.batch, step)
+        drawn = batch_rows(config.seed + self.number, len(self.rows), self.config.batch, step)
+        rows = [self.rows[r] for r in drawn]
         frames = [data.views[r].frame for r in rows]
         background = background_at(config.background, config.seed + self.number, step)
         target, mask = data.batch(rows, background, trainer.device)

@@ -10,13 +10,15 @@ from torch import Tensor, nn
 
 from gavatar.attributes import Attributes
 from gavatar.registry import DECODERS
+from gavatar_runtime.errors import UserError
 
 
 @dataclasses.dataclass
 class MlpConfig:
     """widths: of the shared layers. skip: the layer (from 0) that sees the input again, -1 for none. head_width: of
     the hidden layer of each head. offset_limit: metres, offsets are bounded by construction. scale_limit: largest
-    scale in units of the point spacing; scale_init: at the start, same units.
+    scale in units of the point spacing; scale_init: at the start, same units. scale_floor: smallest scale, same units:
+    above zero, Gaussians that the pixel filter widened in small training images leave no gaps when seen from nearer.
     """
 
     widths: list[int] = dataclasses.field(default_factory=lambda: [128, 128, 128, 256, 128, 128, 128, 64])
@@ -25,13 +27,14 @@ class MlpConfig:
     offset_limit: float = 0.15
     scale_limit: float = 3.0
     scale_init: float = 0.8
+    scale_floor: float = 0.0
 
 
 @DECODERS.register("mlp", config=MlpConfig, summary="8 layers with a skip and three 2-layer heads, ReLU (paper)")
 class MlpDecoder(nn.Module):
-    """ReLU multilayer perceptron. Offsets are `offset_limit * tanh`, colours a sigmoid, scales `scale_limit * spacing`
-    times a sigmoid: bounded by construction, so that no pose can make the avatar explode, and independent of the UV
-    resolution it was trained at."""
+    """ReLU multilayer perceptron. Offsets are `offset_limit * tanh`, colours a sigmoid, scales a sigmoid between
+    `scale_floor` and `scale_limit` times the spacing: bounded by construction, so that no pose can make the avatar
+    explode, and independent of the UV resolution it was trained at."""
 
     def __init__(self, config: MlpConfig, *, in_channels: int):
         super().__init__()
@@ -57,7 +60,12 @@ class MlpDecoder(nn.Module):
         for head in self.heads.values():
             nn.init.normal_(head[2].weight, std=1e-3)  # start on the body, grey, at the initial scale
             nn.init.zeros_(head[2].bias)
-        start = config.scale_init / config.scale_limit
+        if not 0 <= config.scale_floor < config.scale_init < config.scale_limit:
+            raise UserError(
+                "decoder: 0 <= scale_floor < scale_init < scale_limit must hold, not "
+                f"{config.scale_floor}, {config.scale_init}, {config.scale_limit}"
+            )
+        start = (config.scale_init - config.scale_floor) / (config.scale_limit - config.scale_floor)
         nn.init.constant_(self.heads["scale"][2].bias, math.log(start / (1 - start)))
 
     def forward(self, features: Tensor, uv: Tensor, spacing: Tensor) -> Attributes:
@@ -67,9 +75,10 @@ class MlpDecoder(nn.Module):
             if level == self.skip and level > 0:
                 x = torch.cat([x, features], -1)
             x = torch.relu(layer(x))
-        limit = self.config.offset_limit
+        limit, floor = self.config.offset_limit, self.config.scale_floor
+        share = torch.sigmoid(self.heads["scale"](x)[..., 0])
         return Attributes(
             offsets=limit * torch.tanh(self.heads["offset"](x) / limit),
             colors=torch.sigmoid(self.heads["color"](x)),
-            scales=self.config.scale_limit * spacing * torch.sigmoid(self.heads["scale"](x)[..., 0]),
+            scales=spacing * (floor + (self.config.scale_limit - floor) * share),
         )

@@ -1,0 +1,87 @@
+"""What of a training is worth keeping, decided by rendering: refined poses, and dynamics."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from gavatar_runtime.errors import UserError
+
+if TYPE_CHECKING:
+    from .trainer import Trainer
+
+DYNAMICS = ("always", "auto")
+HELD_OUT_EVERY = 8  # with dynamics=auto, the share of training views that stage 2 does not see
+
+
+@torch.no_grad()
+def view_errors(trainer: Trainer, rows: list[int], stage: int, estimated: bool = False) -> np.ndarray:
+    """(V,) mean squared error on white of training views `rows`, at the stage's last image scale.
+
+    stage 2 renders with the pose encoder, 1 without. estimated: with the poses as given, not as refined. Views of
+    stage 2 use the positional maps of the refined motion.
+    """
+    avatar, table = trainer.avatar, trainer.motion
+    data = trainer.footage_at(getattr(trainer.config, f"stage{stage}").levels[-1].image)
+    background = torch.ones(3)
+    training = avatar.training
+    avatar.eval()
+    static = avatar.attributes() if stage == 1 else None
+    errors = []
+    for row in rows:
+        frame = data.views[row].frame
+        attributes = static or avatar.attributes(avatar.encode(trainer.positional_maps([frame])))
+        pose = (table.initial_rotations[[frame]], table.initial_trans[[frame]]) if estimated else table([frame])
+        (gaussians,) = avatar.pose(attributes, *pose)
+        render = trainer.rasterize(gaussians, data.cameras[row], background.to(trainer.device)).color
+        target, _ = data.batch([row], background, trainer.device)
+        errors.append(float((render.permute(2, 0, 1) - target[0]).square().mean()))
+    avatar.train(training)
+    return np.array(errors)
+
+
+@torch.no_grad()
+def refuse_worse_poses(trainer: Trainer) -> list[int]:
+    """Give frames whose refined pose renders worse than the estimated one their estimate back; returns those frames.
+
+    Both are rendered with the avatar that training ended with. It grew on the refined poses, so a refined pose is
+    given the benefit of the doubt, and only what does not even pay there is refused.
+    """
+    rows = list(range(len(trainer.views)))
+    gain = view_errors(trainer, rows, 1, estimated=True) - view_errors(trainer, rows, 1)
+    frames = np.array([view.frame for view in trainer.views])
+    refused = [frame for frame in trainer.frames if gain[frames == frame].sum() < 0]
+    trainer.motion.rotation_correction[refused] = 0
+    trainer.motion.trans_correction[refused] = 0
+    return refused
+
+
+def held_out_rows(count: int) -> list[int]:
+    """The training views that `dynamics=auto` keeps from stage 2: every eighth, from the middle of the first eight."""
+    return list(range(HELD_OUT_EVERY // 2, count, HELD_OUT_EVERY))
+
+
+def dynamics_verdict(static: np.ndarray, dynamic: np.ndarray, least_gain: float) -> dict[str, Any]:
+    """Whether dynamics pay: the mean gain in dB over held-out views is at least `least_gain` and twice its own
+    standard error, so that a gain by chance is not kept. static, dynamic: (V,) mean squared errors of the same views.
+    """
+    gains = 10 * (np.log10(np.maximum(static, 1e-10)) - np.log10(np.maximum(dynamic, 1e-10)))
+    gain = float(gains.mean())
+    error = float(gains.std(ddof=1) / math.sqrt(len(gains))) if len(gains) > 1 else math.inf
+    return {
+        "kept": bool(gain >= least_gain and gain > 2 * error),
+        "gain_db": round(gain, 3),
+        "standard_error_db": round(error, 3) if math.isfinite(error) else None,
+        "views": len(gains),
+    }
+
+
+def check_dynamics(dynamics: str, least_gain: float) -> None:
+    """UserError unless both options are possible."""
+    if dynamics not in DYNAMICS:
+        raise UserError(f"dynamics must be {' or '.join(DYNAMICS)}, not '{dynamics}'")
+    if not math.isfinite(least_gain):
+        raise UserError(f"dynamics_gain must be a number of decibels, not {least_gain}")

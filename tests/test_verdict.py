@@ -1,0 +1,100 @@
+"""What training keeps: refined poses that render better, dynamics that pay."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from tiny_capture import SMALL, write_tiny_capture
+
+from gavatar.config import check, compose_config
+from gavatar.training.run import open_run, train
+from gavatar.training.trainer import REFUSED
+from gavatar.training.verdict import dynamics_verdict, held_out_rows, refuse_worse_poses, view_errors
+from gavatar_runtime.errors import UserError
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    return write_tiny_capture(tmp_path_factory.mktemp("capture") / "tiny")
+
+
+def run(capture, out, *overrides):
+    return train(compose_config([f"capture={capture}", f"out={out}", *SMALL, *overrides]), out)
+
+
+def test_a_frame_whose_pose_got_worse_is_given_its_estimate_back(capture, tmp_path):
+    trainer = run(capture, tmp_path, "stage1.steps=30", "stage2.steps=0", "motion.guard=false")
+    before = trainer.motion.rotation_correction.detach().clone()
+    with torch.no_grad():
+        trainer.motion.rotation_correction[2, 0] = torch.tensor([0.0, 0.0, 1.5])  # lies on its side
+    refused = refuse_worse_poses(trainer)
+    assert 2 in refused
+    after = trainer.motion.rotation_correction
+    assert not after[2].any()
+    assert not trainer.motion.trans_correction[2].any()
+    kept = [frame for frame in trainer.frames if frame not in refused]
+    assert torch.equal(after[kept], before[kept])
+    # what is left can only be better than, or as good as, the estimate
+    rows = list(range(len(trainer.views)))
+    assert (view_errors(trainer, rows, 1) <= view_errors(trainer, rows, 1, estimated=True)).all()
+
+
+def test_the_guard_reports_the_frames_it_refused(capture, tmp_path):
+    run(capture, tmp_path, "stage2.steps=0", "motion.lr=1.5", "losses.motion_prior=0", "losses.motion_smoothness=0")
+    refused = json.loads((tmp_path / "metrics.json").read_text())["verdicts"]["frames_kept_as_estimated"]
+    opened = open_run(tmp_path)
+    assert refused
+    assert not opened.motion.rotation_correction[refused].any()
+
+
+def test_dynamics_that_do_not_pay_leave_a_static_avatar(capture, tmp_path):
+    trainer = run(capture, tmp_path, "dynamics=auto", "dynamics_gain=50")
+    verdict = trainer.verdicts["dynamics"]
+    assert not verdict["kept"]
+    assert verdict["views"] == 1
+    assert (tmp_path / REFUSED).exists()
+    assert not (tmp_path / "stage2.pt").exists()
+    assert open_run(tmp_path).avatar.encoder is None
+
+
+def test_stage_2_never_sees_the_views_that_judge_it(capture, tmp_path, monkeypatch):
+    from gavatar.training import trainer as module
+
+    seen = []
+    original = module._Stage._render
+    monkeypatch.setattr(
+        module._Stage, "_render", lambda s, rows, *a: seen.append((s.number, rows)) or original(s, rows, *a)
+    )
+    run(capture, tmp_path, "dynamics=auto", "stage2.steps=12")
+    assert {row for number, rows in seen for row in rows if number == 2} == {0, 1, 2, 3, 5}
+    assert held_out_rows(6) == [4]
+
+
+@pytest.mark.parametrize(
+    ("ratio", "kept"),
+    [([0.5, 0.5, 0.5], True), ([1.0, 1.0, 1.0], False), ([2.0, 2.0, 2.0], False), ([0.4, 2.0, 0.9, 0.6], False),
+     ([0.5], False)],
+)  # fmt: skip
+def test_dynamics_are_kept_for_a_gain_beyond_chance(ratio, kept):
+    static = np.full(len(ratio), 1e-3)
+    assert dynamics_verdict(static, static * ratio, 0.1)["kept"] is kept
+
+
+def test_equal_images_do_not_break_the_verdict():
+    verdict = dynamics_verdict(np.zeros(4), np.zeros(4), 0.1)
+    assert verdict == {"kept": False, "gain_db": 0.0, "standard_error_db": 0.0, "views": 4}
+
+
+def test_encoder_auto_is_the_u_net_on_trial(capture):
+    config = check(compose_config([f"capture={capture}", "out=x", "encoder=auto"]))
+    assert config.dynamics == "auto"
+    assert config.encoder["name"] == "unet"
+
+
+@pytest.mark.parametrize("option", ["dynamics=sometimes", "dynamics_gain=nan"])
+def test_impossible_options_are_refused(capture, option):
+    with pytest.raises(UserError, match="dynamics"):
+        check(compose_config([f"capture={capture}", "out=x", option]))
