@@ -87,6 +87,18 @@ def test_two_pi_is_no_rotation_and_pi_is_one(static):
     np.testing.assert_allclose(avatar.gaussians(pose).means[:, 1], rest[:, 1], atol=2e-6)
 
 
+def test_normals_turn_with_the_body(static):
+    avatar = Avatar(static)
+    pose = np.zeros((len(avatar.joint_names), 3), np.float32)
+    assert avatar.gaussians(pose).normals is None
+    avatar.with_normals = True
+    before = avatar.gaussians(pose)
+    pose[avatar.surface.root] = (0, np.pi, 0)
+    after = avatar.gaussians(pose, np.float32([1, 2, 3])).normals
+    np.testing.assert_allclose(after, before.normals * [-1, 1, -1], atol=1e-5)  # float32 sines of pi
+    assert np.linalg.norm(after, axis=1).max() < 1 + 1e-3  # float16 in the bundle
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_pose_that_is_no_number_names_its_joint(static, value):
     avatar = Avatar(static)

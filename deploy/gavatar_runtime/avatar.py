@@ -23,7 +23,8 @@ class Avatar:
 
     bundle: an opened `Bundle` or the path of one. threads: of ONNX Runtime within one operator, None for one a core.
     joint_names: of the body, J names. joints: (J, 3) rest joints of its shape, metres. surface: where its N Gaussians
-    sit. stage_seconds: what the last call of `gaussians` spent on `encode`, `decode` and `skin`.
+    sit. with_normals: whether `gaussians` shall give normals, for rasterizers that want them.
+    stage_seconds: what the last call of `gaussians` spent on `encode`, `decode` and `skin`.
     Raises UserError for a bundle that cannot be read or that ONNX Runtime cannot load.
     """
 
@@ -35,6 +36,7 @@ class Avatar:
         self.surface, self._map_surface = self.bundle.surfaces()
         self.joints = self.surface.joints
         self.joint_names = self._read_joint_names()
+        self.with_normals = False
         self.stage_seconds: dict[str, float] = {}
         self._encoder = None
         if self.dynamic:
@@ -88,12 +90,16 @@ class Avatar:
         A = self.surface.skin_transforms(pose)
         A[:, :3, 3] += trans
         means = skin(points, self.surface.joint_index, self.surface.joint_weight, A)
+        normals = None
+        if self.with_normals:  # those of the body's surface; blending rotations shortens them, never lengthens
+            A[:, :3, 3] = 0
+            normals = skin(self.surface.normals, self.surface.joint_index, self.surface.joint_weight, A)
         self.stage_seconds = {
             "encode": encoded - start,
             "decode": decoded - encoded,
             "skin": perf_counter() - decoded,
         }
-        return Gaussians(means=means, scales=scales, colors=colors)
+        return Gaussians(means=means, scales=scales, colors=colors, normals=normals)
 
     def _encode(self, pose: np.ndarray) -> np.ndarray | None:
         if self._encoder is None:

@@ -150,7 +150,8 @@ class Bundle:
     def surfaces(self) -> tuple[Surface, Surface | None]:
         """Where the Gaussians sit, and the surface of the encoder's positional map (None for a static avatar).
 
-        What playing does not need is not stored: there `face` is -1, `barycentric`, `normals` and `spacing` are NaN.
+        What playing does not need is not stored: there `face` is -1, `barycentric` and `spacing` are NaN; so are the
+        `normals` of the map, and of bundles written without them.
         """
         arrays, source = self.arrays("surface.npz"), f"{self.path}: surface.npz"
         gaussians = _unpack_surface(arrays, "gaussians_", source)
@@ -212,8 +213,11 @@ def write_bundle(path: str | os.PathLike, manifest: Manifest, members: Mapping[s
 
 def pack_surfaces(gaussians: Surface, encoder_map: Surface | None = None) -> bytes:
     """surface.npz: arrays `gaussians_*` and, for a dynamic avatar, `map_*`, of what playing needs of each surface:
-    resolution, texel, points, joint_index, joint_weight, joints, parents, A_canonical (see `Surface`)."""
+    resolution, texel, points, joint_index, joint_weight, joints, parents, A_canonical (see `Surface`). Normals of the
+    Gaussians are stored too, as float16, where they are known."""
     arrays = _pack_surface(gaussians, "gaussians_")
+    if np.isfinite(gaussians.normals).all():
+        arrays["gaussians_normals"] = gaussians.normals.astype(np.float16)
     if encoder_map is not None:
         arrays |= _pack_surface(encoder_map, "map_")
     return pack_arrays(arrays)
@@ -265,7 +269,7 @@ def _unpack_surface(arrays: Mapping[str, np.ndarray], prefix: str, source: str) 
         "uv": ((np.stack([texel % side, texel // side], -1) + 0.5) / side).astype(np.float32),
         "face": np.full(count, -1, np.int32),
         "barycentric": nan,
-        "normals": nan,
+        "normals": np.asarray(arrays.get(prefix + "normals", nan), np.float32),
         "spacing": nan[:, 0],
         "weight_truncation": np.zeros(()),
     }

@@ -12,7 +12,8 @@ class Gaussians:
 
     means: (N, 3) metres. scales: (N,) standard deviation in metres, or (N, 3) along the axes of `quaternions`.
     colors: (N, 3) display-referred sRGB in [0, 1]. opacities: (N,) in [0, 1]; absent means 1.
-    quaternions: (N, 4) wxyz; absent means the identity.
+    quaternions: (N, 4) wxyz; absent means the identity. normals: (N, 3) in the world, of length 1 or less; no
+    part of the picture, only a hint for rasterizers that can leave out what faces away.
     """
 
     means: Any
@@ -20,6 +21,7 @@ class Gaussians:
     colors: Any
     opacities: Any = None
     quaternions: Any = None
+    normals: Any = None
 
     def __len__(self) -> int:
         return len(self.means)

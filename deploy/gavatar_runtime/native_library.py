@@ -13,7 +13,7 @@ from pathlib import Path
 
 from .errors import UserError
 
-ABI_VERSION = 2
+ABI_VERSION = 3
 LIBRARY = Path(__file__).with_name("_gavatar_native" + {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so"))
 
 _P, _F, _D, _I, _L = ctypes.c_void_p, ctypes.c_float, ctypes.c_double, ctypes.c_int32, ctypes.c_int64
@@ -25,14 +25,15 @@ def _struct(name: str, *fields) -> type[ctypes.Structure]:
 
 # These mirror gavatar_native.h, field by field; ABI_VERSION changes with them.
 _ARRAYS = [(name, _P) for name in ("means", "scales", "colors", "opacities", "quaternions")]
-GaussiansStruct = _struct("GaussiansStruct", ("count", _L), *_ARRAYS, ("scale_columns", _I))
+GaussiansStruct = _struct("GaussiansStruct", ("count", _L), *_ARRAYS, ("normals", _P), ("scale_columns", _I))
 CameraStruct = _struct(
     "CameraStruct", ("rotation", _D * 9), ("translation", _D * 3), *((k, _D) for k in ("fx", "fy", "cx", "cy")),
     ("width", _I), ("height", _I),
 )  # fmt: skip
 OptionsStruct = _struct(
-    "OptionsStruct", ("background", _F * 3), ("transmittance_stop", _F), ("block_stop", _F), ("keep", _I), ("fast", _I)
-)
+    "OptionsStruct", ("background", _F * 3), ("transmittance_stop", _F), ("block_stop", _F), ("keep", _I), ("fast", _I),
+    ("antialiased", _I), ("backface", _F), ("depth_cut", _F),
+)  # fmt: skip
 ImagesStruct = _struct("ImagesStruct", *((k, _P) for k in ("color", "alpha", "depth", "color8")))
 ReportStruct = _struct(
     "ReportStruct", *((k, _L) for k in ("dropped", "visible", "entries", "blended")),

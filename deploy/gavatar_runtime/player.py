@@ -75,13 +75,16 @@ def play(
 
     motion: fitted to the avatar. cameras: one for all frames, or one a frame. rasterizer: an object with
     `render(gaussians, camera, background) -> Rendering` and, after it, `stage_seconds`; if it has `render_uint8`, which
-    returns (H, W, 3) bytes, that is used. background: sRGB in [0, 1].
+    returns (H, W, 3) bytes, that is used. With a true `wants_normals`, the avatar gives normals.
+    background: sRGB in [0, 1].
     progress: called as `progress(done, total)` after each frame. If anything fails, the writer leaves nothing behind.
     """
     cameras = [cameras] * len(motion) if isinstance(cameras, Camera) else cameras
     if len(cameras) != len(motion):
         raise ValueError(f"{len(cameras)} cameras for {len(motion)} frames")
     background = np.asarray(background, np.float32)
+    if getattr(rasterizer, "wants_normals", False):
+        avatar.with_normals = True
     timings = Timings()
     wanted = writer.choose(len(motion))
     render = getattr(rasterizer, "render_uint8", None) or (lambda *scene: to_bytes(rasterizer.render(*scene).color))

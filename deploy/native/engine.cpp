@@ -176,7 +176,7 @@ Engine& engine() {
   return *e;
 }
 
-Projection make_projection(const GvGaussians& gaussians, const GvCamera& camera) {
+Projection make_projection(const GvGaussians& gaussians, const GvCamera& camera, const GvOptions& options) {
   Projection p{};
   p.gaussians = gaussians;
   std::memcpy(p.rotation, camera.rotation, sizeof p.rotation);
@@ -184,6 +184,13 @@ Projection make_projection(const GvGaussians& gaussians, const GvCamera& camera)
   for (int i = 0; i < 9; i++) p.rotation_f[i] = (float)camera.rotation[i];
   p.fx = (float)camera.fx, p.fy = (float)camera.fy, p.cx = (float)camera.cx, p.cy = (float)camera.cy;
   p.width = camera.width, p.height = camera.height;
+  for (int i = 0; i < 3; i++) {
+    double eye = 0;
+    for (int k = 0; k < 3; k++) eye -= camera.rotation[3 * k + i] * camera.translation[k];
+    p.eye[i] = (float)eye;
+  }
+  p.backface = gaussians.normals ? options.backface : 0;
+  p.antialiased = options.antialiased != 0;
   double wide = FRUSTUM_MARGIN * 0.5 * camera.width / camera.fx, tall = FRUSTUM_MARGIN * 0.5 * camera.height / camera.fy;
   p.x_low = (float)(-camera.cx / camera.fx - wide);
   p.x_high = (float)((camera.width - camera.cx) / camera.fx + wide);
@@ -238,9 +245,9 @@ void forward(Engine& e, GvFrame& frame, const GvGaussians& gaussians, const GvCa
   Pool& pool = *e.pool;
   double started = clock_seconds();
   uint64_t number = ++e.frames;
-  Projection p = make_projection(gaussians, camera);
+  Projection p = make_projection(gaussians, camera, options);
   p.records = frame.records.reserve((size_t)gaussians.count + BATCH);
-  frame.has_opacity = gaussians.opacities != nullptr;
+  frame.has_opacity = gaussians.opacities || p.antialiased;
   if (frame.has_opacity) p.log_opacity = frame.log_opacity.reserve((size_t)gaussians.count + BATCH);
   size_t tiles = (size_t)p.tiles_x * p.tiles_y;
 
@@ -348,10 +355,10 @@ void backward(Engine& e, GvFrame& frame, const GvGaussians& gaussians, const GvC
   e.prepare();
   Pool& pool = *e.pool;
   double started = clock_seconds();
-  Projection p = make_projection(gaussians, camera);
+  Projection p = make_projection(gaussians, camera, options);
   p.records = frame.records.data();
   p.log_opacity = frame.has_opacity ? frame.log_opacity.data() : nullptr;
-  bool want_more = out.opacities || upstream.depth;
+  bool want_more = out.opacities || upstream.depth || p.antialiased;
   size_t tiles = frame.kept.size(), total = 0;
   std::vector<size_t> offset(tiles);
   for (size_t t = 0; t < tiles; t++) {

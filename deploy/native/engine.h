@@ -64,11 +64,13 @@ struct Projection {
   float fx, fy, cx, cy;
   float x_low, x_high, y_low, y_high;  // bounds of X/Z and Y/Z inside the Jacobian
   int32_t width, height, tiles_x, tiles_y;
+  float eye[3], backface;  // the camera's centre; `backface` is 0 without normals
+  bool antialiased;
   int32_t granularity;
   // Blocks of a tile by a range of columns or rows, as an entry holds it: first | last << (3 - granularity).
   uint64_t columns[64], rows[64];
   Record* records;
-  float* log_opacity;  // log2(opacity) / 8, or null
+  float* log_opacity;  // log2(opacity) / 8, compensation included, or null
   EntryBlock* (*grow)(Bins*);
 };
 

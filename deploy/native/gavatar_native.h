@@ -12,7 +12,7 @@
 #define GV_API extern "C"
 #endif
 
-#define GV_ABI_VERSION 2
+#define GV_ABI_VERSION 3
 
 struct GvGaussians {
   int64_t count;
@@ -21,6 +21,7 @@ struct GvGaussians {
   const float* colors;       // (N, 3)
   const float* opacities;    // (N,) or null for 1
   const float* quaternions;  // (N, 4) wxyz or null for the identity
+  const float* normals;      // (N, 3) unit, world, or null; only read for `backface`
   int32_t scale_columns;     // 1 or 3
 };
 
@@ -36,6 +37,9 @@ struct GvOptions {
   float block_stop;          // only with `fast`: a 4x4 block ends once no pixel of it lets more through than this
   int32_t keep;              // 1: keep in the frame what gv_backward needs
   int32_t fast;              // 1: block_stop, and a cubic exponential (relative error 6e-4 instead of 6e-7)
+  int32_t antialiased;       // 1: opacities times sqrt(det S / det (S + low-pass)), so that the low-pass adds no light
+  float backface;            // above 0: Gaussians whose normal makes a cosine below -backface with the view are left out
+  float depth_cut;           // above 0, metres: what is so far behind the nearest Gaussian of its tile is left out
 };
 
 struct GvImages {

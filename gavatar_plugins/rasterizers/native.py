@@ -21,9 +21,12 @@ SPARE_FRAMES = 16  # frames whose memory waits for the next forward; a batch has
 
 @dataclasses.dataclass
 class NativeRasterizerConfig:
-    """threads: of the kernel's pool, 0 for as many as the process has cores (the pool is shared by the process)."""
+    """threads: of the kernel's pool, 0 for as many as the process has cores (the pool is shared by the process).
+    antialiased: as in the player's options; gradients flow through the compensation.
+    """
 
     threads: int = 0
+    antialiased: bool = False
 
 
 @RASTERIZERS.register(
@@ -108,7 +111,7 @@ def _pointer(tensor: Tensor | None) -> int | None:
 
 
 def _struct(fields) -> nl.GaussiansStruct:
-    return nl.GaussiansStruct(len(fields[0]), *map(_pointer, fields), 3 if fields[1].ndim == 2 else 1)
+    return nl.GaussiansStruct(len(fields[0]), *map(_pointer, fields), None, 3 if fields[1].ndim == 2 else 1)
 
 
 class _Splat(torch.autograd.Function):
@@ -117,7 +120,10 @@ class _Splat(torch.autograd.Function):
         fields = [None if x is None else x.contiguous() for x in (means, scales, colors, opacities, quaternions)]
         lease = _Lease(owner)
         struct, camera_struct = _struct(fields), nl.camera_struct(camera)
-        options = nl.OptionsStruct((ctypes.c_float * 3)(*background.tolist()), TRANSMITTANCE_STOP, 0, int(keep), 0)
+        options = nl.OptionsStruct(
+            (ctypes.c_float * 3)(*background.tolist()), TRANSMITTANCE_STOP, 0, int(keep), 0,
+            int(owner.config.antialiased), 0, 0,
+        )  # fmt: skip
         color = torch.empty((camera.height, camera.width, 3))
         alpha, depth = (torch.empty((camera.height, camera.width)) for _ in range(2))
         images = nl.ImagesStruct(_pointer(color), _pointer(alpha), _pointer(depth), None)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+from time import perf_counter
 
+import cv2
 import numpy as np
 
 from .. import native_library as nl
 from ..camera import Camera
+from ..errors import UserError
 from ..gaussians import Gaussians, Rendering
 from ..native_library import available
 from . import PLAYER_RASTERIZERS
@@ -22,13 +25,32 @@ FAST_BLOCK_STOP = 4e-3  # transmittance: what is left to come moves a color by a
 @dataclasses.dataclass
 class NativeConfig:
     """threads: of the kernel's pool, 0 for as many as the process has cores (the pool is shared by the process).
-    fast: a cubic exponential, and 4x4 blocks that end once no pixel lets 4e-3 through instead of 1e-4.
     depth: compute the depth image; without it `Rendering.depth` is None.
+
+    What follows trades exactness for speed or looks; docs/splatting.md has what each costs and gains.
+    fast: a cubic exponential, and 4x4 blocks that end once no pixel lets 4e-3 through instead of 1e-4.
+    backface: above 0, leave out Gaussians whose normal turns away from the camera by a cosine below -backface, if the
+    Gaussians have normals. depth_cut: above 0, leave out what lies more than so many metres behind the nearest Gaussian
+    of its 32x32 tile. resolution: below 1, draw at so large a part of width and height, then upsample linearly.
+    antialiased: opacities times sqrt(det S / det(S + low-pass)), S the 2D covariance (Mip-Splatting, Yu et al. 2024,
+    section 4.2, as in gsplat): small Gaussians do not grow brighter with distance. An avatar trained with it wants it.
     """
 
     threads: int = 0
-    fast: bool = False
     depth: bool = True
+    fast: bool = False
+    backface: float = 0.0
+    depth_cut: float = 0.0
+    resolution: float = 1.0
+    antialiased: bool = False
+
+    def __post_init__(self):
+        if not 0 <= self.backface < 1:
+            raise UserError(f"rasterizer.backface must be a cosine in [0, 1), 0 for off, got {self.backface}")
+        if not 0 <= self.depth_cut < 1e30:
+            raise UserError(f"rasterizer.depth_cut must be metres, 0 for off, got {self.depth_cut}")
+        if not 0 < self.resolution <= 1:
+            raise UserError(f"rasterizer.resolution must be in (0, 1], 1 for off, got {self.resolution}")
 
 
 @PLAYER_RASTERIZERS.register("native", config=NativeConfig, summary="exact, compiled, many times faster than numpy")
@@ -51,19 +73,38 @@ class NativeRasterizer:
         self._buffers: dict[str, np.ndarray] = {}
         self.stage_seconds: dict[str, float] = {}
 
+    @property
+    def wants_normals(self) -> bool:
+        """Whether `Gaussians.normals` would be of use."""
+        return self.config.backface > 0
+
     def render(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
         """The frame as float32: color (H, W, 3), alpha (H, W), depth (H, W) metres. background: (3,) in [0, 1]."""
-        size = (camera.height, camera.width)
+        small = reduced(camera, self.config.resolution)
+        size = (small.height, small.width)
         color, alpha = self._buffer("color", (*size, 3)), self._buffer("alpha", size)
         depth = self._buffer("depth", size) if self.config.depth else None
-        self._forward(gaussians, camera, background, color=color, alpha=alpha, depth=depth)
+        self._forward(gaussians, small, background, color=color, alpha=alpha, depth=depth)
+        if small is not camera:
+            color, alpha, depth = (
+                image if image is None else self._enlarged(name, image, camera)
+                for name, image in (("color", color), ("alpha", alpha), ("depth", depth))
+            )
         return Rendering(color, alpha, depth, dropped=self._report.dropped)
 
     def render_uint8(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> np.ndarray:
         """(H, W, 3) uint8, the color of `render` clipped to [0, 1] and rounded; alpha and depth are not computed."""
-        color8 = self._buffer("color8", (camera.height, camera.width, 3), np.uint8)
-        self._forward(gaussians, camera, background, color8=color8)
-        return color8
+        small = reduced(camera, self.config.resolution)
+        color8 = self._buffer("color8", (small.height, small.width, 3), np.uint8)
+        self._forward(gaussians, small, background, color8=color8)
+        return color8 if small is camera else self._enlarged("color8", color8, camera)
+
+    def _enlarged(self, name: str, image: np.ndarray, camera: Camera) -> np.ndarray:
+        large = self._buffer(f"large {name}", (camera.height, camera.width, *image.shape[2:]), image.dtype)
+        started = perf_counter()
+        cv2.resize(image, (camera.width, camera.height), dst=large, interpolation=cv2.INTER_LINEAR)
+        self.stage_seconds["upsample"] = self.stage_seconds.get("upsample", 0.0) + perf_counter() - started
+        return large
 
     def _buffer(self, name: str, shape: tuple[int, ...], dtype=np.float32) -> np.ndarray:
         buffer = self._buffers.get(name)
@@ -76,14 +117,26 @@ class NativeRasterizer:
         camera_struct = nl.camera_struct(camera)
         r, g, b = (float(x) for x in background)
         options = nl.OptionsStruct(
-            (ctypes.c_float * 3)(r, g, b), TRANSMITTANCE_STOP, FAST_BLOCK_STOP, 0, int(self.config.fast)
-        )
+            (ctypes.c_float * 3)(r, g, b), TRANSMITTANCE_STOP, FAST_BLOCK_STOP, 0, int(self.config.fast),
+            int(self.config.antialiased), self.config.backface, self.config.depth_cut,
+        )  # fmt: skip
         outputs = nl.ImagesStruct(**{k: None if v is None else v.ctypes.data for k, v in images.items()})
         report = self._report
         pointers = (ctypes.byref(x) for x in (struct, camera_struct, options, outputs, report))
         nl.check(self._lib.gv_forward(self._frame.handle, *pointers))
         del arrays  # alive until here
         self.stage_seconds = {"project": report.project_s, "sort": report.sort_s, "blend": report.blend_s}
+
+
+def reduced(camera: Camera, resolution: float) -> Camera:
+    """The camera of an image `resolution` times as wide and high, in whole pixels, at least one; itself at 1."""
+    if resolution == 1:
+        return camera
+    width, height = (max(1, round(resolution * pixels)) for pixels in (camera.width, camera.height))
+    x, y = width / camera.width, height / camera.height
+    return dataclasses.replace(
+        camera, width=width, height=height, fx=camera.fx * x, fy=camera.fy * y, cx=camera.cx * x, cy=camera.cy * y
+    )
 
 
 def gaussians_struct(gaussians: Gaussians) -> tuple[list[np.ndarray | None], nl.GaussiansStruct]:
@@ -98,6 +151,7 @@ def gaussians_struct(gaussians: Gaussians) -> tuple[list[np.ndarray | None], nl.
         "colors": [(n, 3)],
         "opacities": [(n,)],
         "quaternions": [(n, 4)],
+        "normals": [(n, 3)],
     }
     arrays = []
     for name, allowed in shapes.items():
@@ -106,7 +160,7 @@ def gaussians_struct(gaussians: Gaussians) -> tuple[list[np.ndarray | None], nl.
             value = np.ascontiguousarray(value, np.float32)
             if value.shape not in allowed:
                 raise ValueError(f"gaussians.{name}: expected shape {allowed[0]}, got {value.shape}")
-        elif name not in ("opacities", "quaternions"):
+        elif name in ("means", "scales", "colors"):
             raise ValueError(f"gaussians.{name} is missing")
         arrays.append(value)
     pointers = [None if a is None else a.ctypes.data for a in arrays]
