@@ -1,15 +1,16 @@
 """How fast the rasterizers are: python benchmarks/splatting.py [--json FILE] [--figure FILE] [--quick]
 
-A body covered with isotropic Gaussians, the person 80 % of the image's height. Every rasterizer of the player draws
-(mode `forward`), every one of training draws and differentiates (`forward+backward`, color's gradient to means, scales
-and colors). Medians over runs that last --seconds together, at least three; a cell expected to take longer than
---patience is left out. Ratios at the end compare within this run.
+A body covered with isotropic Gaussians, the person 80 % of the image's height. Every rasterizer draws (mode `forward`)
+and, if it can, draws and differentiates (`forward+backward`, color's gradient to means, scales and colors). `native` at
+200,000 Gaussians and 512x512 also by threads and instruction sets, with each of its switches, and its error against
+float64. Medians over runs that last --seconds together, at least three, or two of those above a second; a cell expected
+to take longer than --patience is left out. Ratios at the end compare within this run.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import itertools
 import os
 import sys
 import time
@@ -26,19 +27,27 @@ from splat_scenes import as_numpy, as_torch, body_camera, body_scene, map_fields
 from gavatar.registry import RASTERIZERS, load_plugins  # noqa: E402
 from gavatar_runtime import native_library as nl  # noqa: E402
 from gavatar_runtime.errors import UserError  # noqa: E402
+from gavatar_runtime.files import write_json  # noqa: E402
 from gavatar_runtime.player import player_rasterizers  # noqa: E402
 from gavatar_runtime.skinning import skin  # noqa: E402
 
 COUNTS = (12_500, 50_000, 200_000, 800_000)
 SIZES = ((256, 256), (512, 512), (1024, 1024), (1920, 1080))
 HEADLINE = (200_000, 512, 512)
+SWITCHES = (
+    {"fast": True}, {"backface": 0.3}, {"backface": 0.1}, {"depth_cut": 0.3}, {"depth_cut": 0.2}, {"resolution": 0.75},
+    {"resolution": 0.5}, {"antialiased": True},
+)  # fmt: skip
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 
 
 def measure(run, seconds: float) -> dict[str, float]:
     """median_ms, p10_ms, p90_ms of run(), after one call to warm up."""
+    start = time.perf_counter()
     run()
+    least = 2 if time.perf_counter() - start > 1 else 3
     times, until = [], time.perf_counter() + seconds
-    while len(times) < 3 or (time.perf_counter() < until and len(times) < 200):
+    while len(times) < least or (time.perf_counter() < until and len(times) < 200):
         start = time.perf_counter()
         run()
         times.append(1e3 * (time.perf_counter() - start))
@@ -47,8 +56,12 @@ def measure(run, seconds: float) -> dict[str, float]:
 
 
 def forward_run(name: str, options: dict, count: int, camera):
-    rasterizer, scene = player_rasterizers().build(name, options), as_numpy(body_scene(count))
-    return rasterizer, lambda: rasterizer.render(scene, camera, (1.0, 1.0, 1.0))
+    """The rasterizer, and a call that draws: the player's where it has one of that name."""
+    if name in player_rasterizers():
+        rasterizer, scene = player_rasterizers().build(name, options), as_numpy(body_scene(count))
+        return rasterizer, lambda: rasterizer.render(scene, camera, (1.0, 1.0, 1.0))
+    rasterizer, scene = RASTERIZERS.build(name, options), as_torch(body_scene(count))
+    return rasterizer, lambda: rasterizer(scene, camera)
 
 
 def backward_run(name: str, options: dict, count: int, camera):
@@ -59,41 +72,100 @@ def backward_run(name: str, options: dict, count: int, camera):
     return rasterizer, lambda: torch.autograd.grad(rasterizer(scene, camera).color, wanted, upstream)
 
 
-RUNS = {"forward": (player_rasterizers(), forward_run), "forward+backward": (RASTERIZERS, backward_run)}
+RUNS = {"forward": forward_run, "forward+backward": backward_run}
+
+
+def cell(mode: str, name: str, at: tuple[int, int, int], seconds: float, threads: int = CORES, **options) -> dict:
+    """One row of the results. Raises UserError or ImportError where the rasterizer cannot do it."""
+    count, width, height = at
+    given = {"threads": threads, **options} if name == "native" else options
+    rasterizer, run = RUNS[mode](name, given, count, body_camera(width, height))
+    torch.set_num_threads(threads)
+    row = {"rasterizer": name, "mode": mode, "gaussians": count, "width": width, "height": height, "threads": threads}
+    row |= measure(run, seconds)
+    stages = getattr(rasterizer, "stage_seconds", None)
+    if stages:
+        row["stages_ms"] = {k: 1e3 * v for k, v in stages.items()}
+    return row
 
 
 def rows(arguments) -> list[dict]:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    """Every rasterizer in every mode, count and size."""
     found = []
-    for mode, (registry, prepare) in RUNS.items():
-        for name in registry.names():
-            cost = 0.0  # ms a thousand Gaussians and a thousand pixels of the last cell, whichever is more
-            for count in arguments.counts:
-                for width, height in arguments.sizes:
-                    if cost * max(count, 0.2 * width * height) > 1e3 * arguments.patience:
-                        continue
-                    threads = [t for t in (1, 2, 4, 8, 16) if t < cores] if name == "native" else []
-                    if (count, width, height) != HEADLINE:
-                        threads = []
-                    for used in [*threads, cores]:
-                        options = {"threads": used} if name == "native" else {}
-                        camera = body_camera(width, height)
-                        try:
-                            rasterizer, run = prepare(name, options, count, camera)
-                            torch.set_num_threads(cores)
-                            row = measure(run, arguments.seconds)
-                        except (UserError, ImportError) as error:
-                            print(f"{mode} {name}: left out ({error})")
-                            cost = float("inf")
-                            break
-                        row = {"rasterizer": name, "mode": mode, "gaussians": count, "width": width, "height": height,
-                               "threads": used} | row  # fmt: skip
-                        stages = getattr(rasterizer, "stage_seconds", None)
-                        if stages:
-                            row["stages_ms"] = {k: 1e3 * v for k, v in stages.items()}
-                        found.append(row)
-                        print(describe(row), flush=True)
-                        cost = row["median_ms"] / max(count, 0.2 * width * height)
+    for mode in RUNS:
+        for name in sorted({*RASTERIZERS.names(), *(player_rasterizers().names() if mode == "forward" else ())}):
+            cost = 0.0  # ms a Gaussian, or a fifth of a pixel, of the last cell, whichever are more
+            for at in itertools.product(arguments.counts, arguments.sizes):
+                at = (at[0], *at[1])
+                work = max(at[0], 0.2 * at[1] * at[2])
+                if cost * work > 1e3 * arguments.patience:
+                    continue
+                try:
+                    row = cell(mode, name, at, arguments.seconds)
+                except (UserError, ImportError) as error:
+                    print(f"{mode} {name}: left out ({error})")
+                    break
+                found.append(row)
+                print(describe(row), flush=True)
+                cost = row["median_ms"] / work
+    return found
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float | None:
+    """dB, None where nothing differs."""
+    error = float(np.mean((a.astype(np.float64) - b) ** 2))
+    return -10 * float(np.log10(error)) if error else None
+
+
+def native_rows(seconds: float) -> list[dict]:
+    """`native` by threads and by instruction set, and with each of its switches, with its PSNR to the exact picture."""
+    found = []
+    for mode in RUNS:
+        for threads in [t for t in (1, 2, 4, 8, 16) if t < CORES]:
+            found.append(cell(mode, "native", HEADLINE, seconds, threads))
+            print(describe(found[-1]), flush=True)
+    for isa in nl.instruction_sets():
+        nl.use_instruction_set(isa)
+        found += [cell(mode, "native", HEADLINE, seconds) | {"instruction_set": isa} for mode in RUNS]
+        print(f"{isa}: {found[-2]['median_ms']:.2f} ms, {found[-1]['median_ms']:.2f} ms with backward", flush=True)
+    nl.use_instruction_set(None)
+    for size in ((512, 512), (1024, 1024)):
+        at, scene, camera = (HEADLINE[0], *size), as_numpy(body_scene(HEADLINE[0])), body_camera(*size)
+        plain = cell("forward", "native", at, seconds)
+        exact = player_rasterizers().build("native").render(scene, camera).color
+        for options in SWITCHES:
+            picture = player_rasterizers().build("native", options).render(scene, camera).color
+            error = psnr(picture, exact)
+            row = cell("forward", "native", at, seconds, **options) | {"switches": options, "psnr_db": error}
+            gain = plain["median_ms"] / row["median_ms"]
+            print(
+                f"{at[1]}x{at[2]} {options}: {row['median_ms']:.2f} ms, gain {gain:.2f}, {error or np.inf:.1f} dB",
+                flush=True,
+            )
+            found.append(row | {"gain": gain})
+    return found
+
+
+def accuracy() -> dict[str, float]:
+    """`native` against the torch rasterizer in float64 at the headline: the picture and the gradients."""
+    camera, upstream = body_camera(*HEADLINE[1:]), None
+    results = []
+    for name, dtype in (("native", torch.float32), ("torch", torch.float64)):
+        scene = map_fields(as_torch(as_numpy(body_scene(HEADLINE[0])), dtype), lambda x: x.requires_grad_())
+        color = RASTERIZERS.build(name)(scene, camera).color
+        if upstream is None:
+            upstream = torch.randn(color.shape, generator=torch.Generator().manual_seed(0))
+        gradients = torch.autograd.grad(color, (scene.means, scene.scales, scene.colors), upstream.to(dtype))
+        results.append((color.detach().double(), [g.double() for g in gradients]))
+    (mine, my_gradients), (exact, exact_gradients) = results
+    off = (mine - exact).abs().amax(-1)
+    found = {
+        "psnr_db": float(-10 * torch.log10((mine - exact).square().mean())),
+        "max_error_255": float(255 * off.max()),
+        "flipped_share": float((off > 2 / 255).double().mean()),
+    }
+    for name, a, b in zip(("means", "scales", "colors"), my_gradients, exact_gradients, strict=True):
+        found[f"gradient_{name}_relative_l2"] = float((a - b).norm() / b.norm())
     return found
 
 
@@ -111,19 +183,24 @@ def skinning_row(seconds: float) -> dict:
     index = np.repeat(rng.integers(0, 52, (2000, 4)), 100, 0).astype(np.int32)  # neighbours share their joints
     weight = rng.dirichlet(np.ones(4), len(points)).astype(np.float32)
     A, out = rng.normal(size=(52, 4, 4)).astype(np.float32), np.empty_like(points)
-    return {"rasterizer": "skinning", "gaussians": len(points)} | measure(
-        lambda: skin(points, index, weight, A, out=out), seconds
-    )
+    row = {
+        "rasterizer": "skinning",
+        "mode": "forward",
+        "gaussians": len(points),
+        "width": 0,
+        "height": 0,
+        "threads": CORES,
+    }
+    return row | measure(lambda: skin(points, index, weight, A, out=out), seconds)
 
 
 def print_ratios(found: list[dict]) -> None:
     """How many times faster native is than each other rasterizer, cell by cell."""
-    cells = {(r["mode"], r["gaussians"], r["width"], r["height"], r["threads"], r["rasterizer"]): r for r in found}
-    for (*cell, name), row in cells.items():
-        native = cells.get((*cell, "native"))
+    cells = {(r["mode"], r["gaussians"], r["width"], r["height"], r["rasterizer"]): r["median_ms"] for r in found}
+    for (*at, name), median in cells.items():
+        native = cells.get((*at, "native"))
         if native and name not in ("native", "auto"):
-            ratio = row["median_ms"] / native["median_ms"]
-            print(f"{cell[0]:17}{cell[1]:8} {cell[2]:5}x{cell[3]:<5} native is {ratio:7.0f} times as fast as {name}")
+            print(f"{at[0]:17}{at[1]:8} {at[2]:5}x{at[3]:<5} native is {median / native:7.1f} times as fast as {name}")
 
 
 def draw(found: list[dict], path: Path) -> None:
@@ -159,18 +236,21 @@ def main() -> None:
     arguments.counts = (200_000,) if arguments.quick else COUNTS
     arguments.sizes = ((512, 512), (1024, 1024)) if arguments.quick else SIZES
     load_plugins()
-    if nl.available()[0]:
+    native = nl.available()[0]
+    if native:
         print(f"native: {nl.instruction_set()}, {nl.threads()} threads")
+        print("accuracy:", {k: float(f"{v:.3g}") for k, v in accuracy().items()}, flush=True)
     found = rows(arguments)
-    skinning = skinning_row(arguments.seconds)
-    print(f"skinning of 200,000 points: {skinning['median_ms']:.2f} ms [{skinning['p10_ms']:.2f}]")
-    print_ratios(found)
+    plain = list(found)
+    if native:
+        found += native_rows(arguments.seconds)
+    found.append(skinning_row(arguments.seconds))
+    print(f"skinning of 200,000 points: {found[-1]['median_ms']:.2f} ms [{found[-1]['p10_ms']:.2f}]")
+    print_ratios(plain)
     if arguments.json:
-        temporary = arguments.json.with_suffix(".tmp")
-        temporary.write_text(json.dumps(found, indent=1))
-        os.replace(temporary, arguments.json)
+        write_json(arguments.json, found)
     if arguments.figure:
-        draw(found, arguments.figure)
+        draw(plain, arguments.figure)
 
 
 if __name__ == "__main__":

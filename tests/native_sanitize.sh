@@ -1,5 +1,5 @@
 #!/bin/sh
-# The native kernel under the sanitizers of GCC: addresses and undefined behaviour on tests/test_native.py, and data
+# The native kernel under the sanitizers of GCC: addresses and undefined behaviour on the tests, and data
 # races on a threaded run of the player's binding (torch's own threads are not instrumented, so they stay out of it).
 #   PYTHON=python3 tests/native_sanitize.sh
 set -eu
@@ -20,7 +20,7 @@ echo '== address, undefined'
 build asan -fsanitize=address,undefined -fno-sanitize-recover=undefined
 GAVATAR_NATIVE_LIBRARY=$WORK/asan.so LD_PRELOAD="$($CXX -print-file-name=libasan.so) $($CXX -print-file-name=libubsan.so)" \
     ASAN_OPTIONS=detect_leaks=0:verify_asan_link_order=0 UBSAN_OPTIONS=print_stacktrace=1 \
-    "$PYTHON" -m pytest -q -p no:cacheprovider tests/test_native.py -k "not bad_value_drops or means"
+    "$PYTHON" -m pytest -q -p no:cacheprovider tests/test_native.py tests/test_rasterizers.py -k "native and (not bad_value_drops or means)"
 
 echo '== threads'
 build tsan -fsanitize=thread

@@ -131,7 +131,7 @@ class _Splat(torch.autograd.Function):
         nl.check(owner._lib.gv_forward(lease.frame.handle, *pointers))
         ctx.set_materialize_grads(False)  # an image without gradient costs nothing in the backward
         if keep:
-            ctx.lease, ctx.camera, ctx.options, ctx.lib = lease, camera_struct, options, owner._lib
+            ctx.lease, ctx.camera, ctx.options, ctx.owner = lease, camera_struct, options, owner
             ctx.save_for_backward(*fields, color, alpha, depth)
         return color, alpha, depth
 
@@ -150,7 +150,9 @@ class _Splat(torch.autograd.Function):
             nl.ImagesStruct(*map(_pointer, upstream), None), nl.GradientsStruct(*map(_pointer, grads)),
             nl.BackwardReportStruct(),
         )  # fmt: skip
-        nl.check(ctx.lib.gv_backward(ctx.lease.frame.handle, *(ctypes.byref(x) for x in structs)))
+        nl.check(ctx.owner._lib.gv_backward(ctx.lease.frame.handle, *(ctypes.byref(x) for x in structs)))
+        times = {"backward_blend": structs[-1].blend_s, "backward_project": structs[-1].project_s}
+        ctx.owner.stage_seconds = {**ctx.owner.stage_seconds, **times}
         grads = [g if want else None for g, want in zip(grads, wanted, strict=True)]
         background = None
         if ctx.needs_input_grad[5] and upstream[0] is not None:
