@@ -1,0 +1,234 @@
+"""ONNX graphs of an avatar's networks, with the rewrites that change no result: BatchNorm and feature smoothing folded
+away, transposed convolutions as convolution + pixel shuffle, the decoder in chunks of rows that stay in the cache."""
+
+from __future__ import annotations
+
+import copy
+import io
+import warnings
+
+import numpy as np
+import onnx
+import torch
+from onnx import TensorProto, helper, numpy_helper
+from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
+
+from gavatar_runtime.surface import Surface
+
+from .avatar import Avatar, sample_uv
+
+OPSET = 18
+OUTPUTS = ("offsets", "colors", "scales")
+CHUNK = 4096  # rows: the widest activations of a chunk (4 MB) stay in the caches; 2048 to 8192 measured alike
+
+
+def fold_batchnorm(module: nn.Module) -> nn.Module:
+    """A copy of `module` in eval mode in which every BatchNorm that follows a linear or (transposed) convolution layer
+    within an nn.Sequential is folded into it: the same function as evaluated, one operation less."""
+    module = copy.deepcopy(module).eval()
+    for parent in list(module.modules()):
+        if isinstance(parent, nn.Sequential):
+            _fold_sequential(parent)
+    return module
+
+
+def _fold_sequential(layers: nn.Sequential) -> None:
+    for i in range(len(layers) - 1):
+        layer, norm = layers[i], layers[i + 1]
+        if isinstance(layer, nn.Linear) and isinstance(norm, nn.BatchNorm1d):
+            layers[i] = fuse_linear_bn_eval(layer, norm)
+        elif isinstance(layer, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+            layers[i] = fuse_conv_bn_eval(layer, norm)
+        elif isinstance(layer, nn.ConvTranspose2d) and isinstance(norm, nn.BatchNorm2d):
+            layers[i] = fuse_conv_bn_eval(layer, norm, transpose=True)
+        else:
+            continue
+        layers[i + 1] = nn.Identity()
+
+
+def subpixel(module: nn.Module) -> nn.Module:
+    """A copy of `module` in which every ConvTranspose2d of kernel 4, stride 2 and padding 1 is a 3x3 convolution with
+    four times the channels and a pixel shuffle: the same sums in another order.
+
+    Output row 2i + a of the transposed convolution takes input rows i - 1 and i (a = 0) or i and i + 1 (a = 1), by taps
+    3, 1 and 2, 0 of its kernel.
+    """
+    module = copy.deepcopy(module)
+    for parent in list(module.modules()):
+        for name, child in parent.named_children():
+            if isinstance(child, nn.ConvTranspose2d) and _doubles(child):
+                setattr(parent, name, _as_subpixel(child))
+    return module
+
+
+def _doubles(layer: nn.ConvTranspose2d) -> bool:
+    shape = (layer.kernel_size, layer.stride, layer.padding, layer.output_padding, layer.dilation, layer.groups)
+    return shape == ((4, 4), (2, 2), (1, 1), (0, 0), (1, 1), 1)
+
+
+def _as_subpixel(layer: nn.ConvTranspose2d) -> nn.Sequential:
+    taps = {0: {0: 3, 1: 1}, 1: {1: 2, 2: 0}}  # output phase -> row of the 3x3 kernel -> row of the 4x4 one
+    weight = layer.weight.detach()
+    inside, outside = weight.shape[:2]
+    kernel = weight.new_zeros(outside, 2, 2, inside, 3, 3)
+    for a, rows in taps.items():
+        for b, columns in taps.items():
+            for r, ky in rows.items():
+                for c, kx in columns.items():
+                    kernel[:, a, b, :, r, c] = weight[:, :, ky, kx].T
+    conv = nn.Conv2d(inside, 4 * outside, 3, padding=1, bias=layer.bias is not None)
+    conv.weight.data = kernel.reshape(4 * outside, inside, 3, 3)
+    if layer.bias is not None:
+        conv.bias.data = layer.bias.detach().repeat_interleave(4)
+    return nn.Sequential(conv, nn.PixelShuffle(2))
+
+
+class RowDecoder(nn.Module):
+    """The decoder for a chunk of P points, as the body of a loop over chunks.
+
+    texels: (M * M, C), the map to sample (the learnable features, smoothed once, already added where the maps are of one
+    size; else their samples are `constant`, (P, C)). corner, corner_weight: (P, 4), see `bilinear`: gathering rows is
+    several times faster than ONNX Runtime's GridSample.
+    """
+
+    def __init__(self, avatar: Avatar, sampled_constant: bool):
+        super().__init__()
+        self.decoder = fold_batchnorm(avatar.decoder)
+        self.sampled_constant = sampled_constant
+
+    def forward(self, texels, corner, corner_weight, uv, spacing, constant=None):
+        sampled = texels[corner[:, 0]] * corner_weight[:, :1]
+        for k in range(1, 4):
+            sampled = sampled + texels[corner[:, k]] * corner_weight[:, k : k + 1]
+        if self.sampled_constant:
+            sampled = sampled + constant
+        out = self.decoder(sampled, uv, spacing)
+        return out.offsets, out.colors, out.scales
+
+
+def bilinear(uv: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """The four texels, (N, 4) int64 row x size + column, and weights, (N, 4) float32, by which `sample_uv` reads a map of
+    `size` x `size` texels at uv (N, 2)."""
+    x, y = np.clip(np.asarray(uv, np.float64) * size - 0.5, 0, size - 1).T
+    column, row = np.minimum(x.astype(np.int64), size - 2), np.minimum(y.astype(np.int64), size - 2)
+    a, b = x - column, y - row
+    corner = np.stack([row * size + column + d for d in (0, 1, size, size + 1)], -1)
+    weight = np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b], -1)
+    return corner, weight.astype(np.float32)
+
+
+def to_onnx(module: nn.Module, example: tuple[Tensor, ...], inputs: list[str], outputs: list[str]) -> onnx.ModelProto:
+    """The traced module as an ONNX model of `OPSET`."""
+    buffer = io.BytesIO()
+    with warnings.catch_warnings():
+        # torch.export's exporter gives the same graph 25 times slower and with one more dependency
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            module, example, buffer, input_names=inputs, output_names=outputs, opset_version=OPSET, dynamo=False
+        )
+    return onnx.load_from_string(buffer.getvalue())
+
+
+def encoder_model(avatar: Avatar, *, shuffle: bool = False) -> onnx.ModelProto:
+    """positional_map (1, 3, M, M) metres -> pose_features (1, C, M, M). shuffle: `subpixel` convolutions, which are
+    slower in float32 (28 ms against 18) and what 8-bit arithmetic needs: ONNX Runtime has no ConvTranspose in it."""
+    size = avatar.encoder.map_size
+    example = (torch.zeros(1, 3, size, size),)
+    encoder = fold_batchnorm(avatar.encoder)
+    if shuffle:
+        encoder = subpixel(encoder)
+    return to_onnx(encoder, example, ["positional_map"], ["pose_features"])
+
+
+def decoder_model(avatar: Avatar, surface: Surface | None = None, quantize=None) -> onnx.ModelProto:
+    """pose_features -> offsets (N, 3), colors (N, 3), scales (N,) on the points of `surface` (None for the avatar's);
+    without input for a static avatar, whose decoder does not depend on the pose and is evaluated here once and for all.
+
+    quantize: a function from the model of one chunk to another with the same inputs and outputs, or None.
+    """
+    surface = surface or avatar.surface
+    if avatar.encoder is None:
+        with torch.no_grad():
+            attributes = attributes_at(avatar, surface)
+        return constant_model({name: getattr(attributes, name)[0].numpy() for name in OUTPUTS})
+    size, channels = avatar.encoder.map_size, avatar.config.features
+    count = len(surface)
+    chunk = min(CHUNK, count)
+    chunks = -(-count // chunk)
+    features = avatar.smooth(avatar.features).detach()
+    add_first = features.shape[-1] == size
+    corner, weight = bilinear(surface.uv, size)
+    scanned = {"corner": corner, "corner_weight": weight, "uv": surface.uv, "spacing": surface.spacing}
+    if not add_first:
+        with torch.no_grad():
+            scanned["constant"] = sample_uv(features, torch.from_numpy(np.asarray(surface.uv, np.float32)))[0].numpy()
+    scanned = {name: _padded(values, chunks, chunk) for name, values in scanned.items()}
+    example = (torch.zeros(size * size, channels), *(torch.from_numpy(x[0]) for x in scanned.values()))
+    rows = to_onnx(RowDecoder(avatar, not add_first).eval(), example, ["texels", *scanned], list(OUTPUTS))
+    if quantize is not None:
+        rows = quantize(rows)
+    constants = {"features": features.numpy()} if add_first else {}
+    return _scan_model(rows, scanned, constants, (1, channels, size, size), count)
+
+
+def attributes_at(avatar: Avatar, surface: Surface, pose_features: Tensor | None = None):
+    """The avatar decoded on the points of another sampling of its surface."""
+    former = avatar.surface
+    try:
+        avatar.sample_at(surface)
+        return avatar.attributes(pose_features)
+    finally:
+        if former is not None:
+            avatar.sample_at(former)
+
+
+def _padded(array: np.ndarray, chunks: int, chunk: int) -> np.ndarray:
+    """(N, ...) -> (chunks, chunk, ...), the last row repeated."""
+    array = np.asarray(array)
+    missing = chunks * chunk - len(array)
+    return np.concatenate([array, np.repeat(array[-1:], missing, 0)]).reshape(chunks, chunk, *array.shape[1:])
+
+
+def _scan_model(rows: onnx.ModelProto, scanned: dict, constants: dict, shape: tuple, count: int) -> onnx.ModelProto:
+    """A loop (ONNX Scan) of `rows` over the leading axis of the `scanned` arrays, its outputs joined and cut to
+    `count`; weights stand in the loop's body, once."""
+    body = copy.deepcopy(rows.graph)
+    for info in [i for i in body.input if i.name == "texels"]:
+        body.input.remove(info)  # found in the scope outside
+    scanned = {info.name: scanned[info.name] for info in body.input}  # the tracer leaves out what a decoder ignores
+    nodes, initializers = [], [numpy_helper.from_array(np.ascontiguousarray(v), f"all_{k}") for k, v in scanned.items()]
+    initializers += [numpy_helper.from_array(np.ascontiguousarray(v), k) for k, v in constants.items()]
+    total = "pose_features"
+    if "features" in constants:
+        total = "all_features"
+        nodes.append(helper.make_node("Add", ["pose_features", "features"], [total]))
+    initializers.append(numpy_helper.from_array(np.array([shape[1], -1], np.int64), "map_shape"))
+    nodes.append(helper.make_node("Reshape", [total, "map_shape"], ["channels_first"]))
+    nodes.append(helper.make_node("Transpose", ["channels_first"], ["texels"], perm=[1, 0]))
+    stacked = [f"stacked_{name}" for name in OUTPUTS]
+    scan = helper.make_node("Scan", [f"all_{k}" for k in scanned], stacked, body=body, num_scan_inputs=len(scanned))
+    nodes.append(scan)
+    outputs = []
+    for name, tail in (("offsets", (3,)), ("colors", (3,)), ("scales", ())):
+        initializers.append(numpy_helper.from_array(np.array([-1, *tail], np.int64), f"shape_{name}"))
+        nodes.append(helper.make_node("Reshape", [f"stacked_{name}", f"shape_{name}"], [f"joined_{name}"]))
+        nodes.append(helper.make_node("Slice", [f"joined_{name}", "first", "last", "axis"], [name]))
+        outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, (count, *tail)))
+    for name, value in (("first", 0), ("last", count), ("axis", 0)):
+        initializers.append(numpy_helper.from_array(np.array([value], np.int64), name))
+    inputs = [helper.make_tensor_value_info("pose_features", TensorProto.FLOAT, shape)]
+    graph = helper.make_graph(nodes, "decoder", inputs, outputs, initializers)
+    return helper.make_model(graph, opset_imports=list(rows.opset_import), ir_version=rows.ir_version)
+
+
+def constant_model(values: dict[str, np.ndarray]) -> onnx.ModelProto:
+    """A model without inputs that returns `values`."""
+    nodes, initializers, outputs = [], [], []
+    for name, value in values.items():
+        value = np.ascontiguousarray(value, np.float32)
+        initializers.append(numpy_helper.from_array(value, f"{name}_value"))
+        nodes.append(helper.make_node("Identity", [f"{name}_value"], [name]))
+        outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, value.shape))
+    graph = helper.make_graph(nodes, "static_avatar", [], outputs, initializers)
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=9)
