@@ -13,37 +13,35 @@ from .gaussians import Gaussians
 from .motion import Motion
 from .skeletons import fit_motion, scaled_to_legs
 from .skinning import skin
-from .surface import positional_map
-
-OUTPUTS = ("offsets", "colors", "scales")
+from .tiers import DEFAULT, Parts, player_tiers, stored_tiers
 
 
 class Avatar:
     """The avatar of a bundle, ready to be posed.
 
-    bundle: an opened `Bundle` or the path of one. threads: of ONNX Runtime within one operator, None for one a core.
+    bundle: an opened `Bundle` or the path of one. tier: how its Gaussians are decoded, one that the
+    bundle holds. threads: of ONNX Runtime within one operator, None for one a core.
     joint_names: of the body, J names. joints: (J, 3) rest joints of its shape, metres. surface: where its N Gaussians
     sit. with_normals: whether `gaussians` shall give normals, for rasterizers that want them.
     stage_seconds: what the last call of `gaussians` spent on `encode`, `decode` and `skin`.
     Raises UserError for a bundle that cannot be read or that ONNX Runtime cannot load.
     """
 
-    def __init__(self, bundle: Bundle | str | os.PathLike, *, threads: int | None = None):
+    def __init__(self, bundle: Bundle | str | os.PathLike, *, tier: str = DEFAULT, threads: int | None = None):
         if threads is not None and threads < 1:
             raise UserError(f"threads={threads}: give a whole number from 1 up")
         self.bundle = bundle if isinstance(bundle, Bundle) else read_bundle(bundle)
         self.name = self.bundle.manifest.name
-        self.surface, self._map_surface = self.bundle.surfaces()
+        self.surface, map_surface = self.bundle.surfaces()
         self.joints = self.surface.joints
         self.joint_names = self._read_joint_names()
         self.with_normals = False
         self.stage_seconds: dict[str, float] = {}
-        self._encoder = None
-        if self.dynamic:
-            self._encoder = _Network(self.bundle, "encoder.onnx", ("positional_map",), ("pose_features",), threads)
-        inputs = ("pose_features",) if self.dynamic else ()
-        self._decoder = _Network(self.bundle, "decoder.onnx", inputs, OUTPUTS, threads)
-        self._static: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self.tier = tier
+        self._tier = self._build_tier(tier, map_surface, threads)
+        self._static = None
+        self._means = [np.empty((len(self.surface), 3), np.float32) for _ in range(3)]
+        self._calls = 0
 
     def __len__(self) -> int:
         """The number of Gaussians."""
@@ -71,7 +69,8 @@ class Avatar:
         """The avatar in one pose.
 
         pose: (J, 3) axis-angle relative to the parent joint, radians; with another number of joints it is fitted as
-        `fit` does. trans: (3,) metres, zero if None. Returns N isotropic Gaussians in the world, float32, opaque.
+        `fit` does. trans: (3,) metres, zero if None. Returns N isotropic Gaussians in the world, float32, opaque; their
+        arrays are filled again by the third call from this one, so copy what is to be kept.
         Raises UserError for a NaN or infinite pose.
         """
         pose = np.asarray(pose, np.float32)
@@ -82,47 +81,38 @@ class Avatar:
             pose = fit_motion(Motion(pose[None], trans[None], 1.0), self.joint_names)[0].poses[0]
         self._check_finite(pose, trans)
 
-        start = perf_counter()
-        features = self._encode(pose)
-        encoded = perf_counter()
-        points, colors, scales = self._decode(features)
+        points, colors, scales = self._decode(pose)
         decoded = perf_counter()
         A = self.surface.skin_transforms(pose)
         A[:, :3, 3] += trans
-        means = skin(points, self.surface.joint_index, self.surface.joint_weight, A)
+        self._calls += 1
+        out = self._means[self._calls % 3]
+        means = skin(points, self.surface.joint_index, self.surface.joint_weight, A, out)
         normals = None
         if self.with_normals:  # those of the body's surface; blending rotations shortens them, never lengthens
             A[:, :3, 3] = 0
             normals = skin(self.surface.normals, self.surface.joint_index, self.surface.joint_weight, A)
-        self.stage_seconds = {
-            "encode": encoded - start,
-            "decode": decoded - encoded,
-            "skin": perf_counter() - decoded,
-        }
+        self.stage_seconds = {**self._tier.stage_seconds, "skin": perf_counter() - decoded}
         return Gaussians(means=means, scales=scales, colors=colors, normals=normals)
 
-    def _encode(self, pose: np.ndarray) -> np.ndarray | None:
-        if self._encoder is None:
-            return None
-        image = positional_map(self._map_surface, pose)
-        return self._encoder(np.ascontiguousarray(image.transpose(2, 0, 1)[None]))[0]
+    def _decode(self, pose: np.ndarray):
+        if self._tier.moves:
+            return self._tier(pose)
+        if self._static is None:
+            self._static = self._tier(pose)
+        else:
+            self._tier.stage_seconds = {"encode": 0.0, "decode": 0.0}
+        return self._static
 
-    def _decode(self, features: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Canonical points (N, 3), colours (N, 3), scales (N,); of a static avatar always the same arrays."""
-        if self._static is not None:
-            return self._static
-        offsets, colors, scales = self._decoder(*(() if features is None else (features,)))
-        N = len(self)
-        if (offsets.shape, colors.shape, scales.shape) != ((N, 3), (N, 3), (N,)):
+    def _build_tier(self, name: str, map_surface, threads: int | None):
+        tiers, stored = player_tiers(), stored_tiers(self.bundle)
+        tiers[name]  # an unknown name is told from one that this bundle lacks
+        if name not in stored:
             raise UserError(
-                f"{self.bundle.path}: decoder.onnx returns shapes {offsets.shape}, {colors.shape} and {scales.shape} "
-                f"for {N} Gaussians; export the avatar again"
+                f"{self.bundle.path} holds no tier '{name}' (it has {', '.join(stored)}); export it again with "
+                f"gavatar-export RUN --tiers {name}"
             )
-        decoded = (self.surface.points + offsets, colors, scales)
-        if not self.dynamic:
-            self._static = decoded
-            self._decoder = None  # its weights are of no more use
-        return decoded
+        return tiers.build(name, parts=Parts(self.bundle, self.surface, map_surface, threads))
 
     def _check_finite(self, pose: np.ndarray, trans: np.ndarray) -> None:
         bad = ~np.isfinite(pose).all(1)
@@ -139,36 +129,3 @@ class Avatar:
                 f"{self.surface.num_joints}; export the avatar again"
             )
         return names
-
-
-class _Network:
-    """An ONNX member as a function of arrays, its inputs and outputs checked by name."""
-
-    def __init__(self, bundle: Bundle, member: str, inputs: tuple[str, ...], outputs: tuple[str, ...], threads):
-        import onnxruntime  # a tenth of a second that reading a manifest need not pay
-
-        options = onnxruntime.SessionOptions()
-        options.inter_op_num_threads = 1
-        if threads is not None:
-            options.intra_op_num_threads = threads
-        # idle workers would spin on the cores that skinning and splatting need next
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        options.log_severity_level = 3
-        data = bundle.read(member)
-        try:
-            self._session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # ONNX Runtime's exceptions have no common base but this
-            cause = str(error).strip().splitlines()[0]
-            version = onnxruntime.__version__
-            raise UserError(f"{bundle.path}: ONNX Runtime {version} cannot load {member}: {cause}") from error
-        found = tuple(x.name for x in self._session.get_inputs())
-        missing = set(outputs) - {x.name for x in self._session.get_outputs()}
-        if found != inputs or missing:
-            raise UserError(
-                f"{bundle.path}: {member} has inputs {found} and lacks outputs {sorted(missing)}, expected inputs "
-                f"{inputs} and outputs {outputs}; export the avatar again"
-            )
-        self._inputs, self._outputs = inputs, list(outputs)
-
-    def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
-        return self._session.run(self._outputs, dict(zip(self._inputs, arrays, strict=True)))

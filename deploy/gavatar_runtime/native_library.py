@@ -59,6 +59,8 @@ _SIGNATURES = {
     "gv_backward": (_I, [_P] * 8),
     "gv_skin": (_I, [_L, _I, _I, _I] + [_P] * 5),
     "gv_skin_backward": (_I, [_L, _I, _I, _I] + [_P] * 7),
+    "gv_blendshapes": (_I, [_L, _I, _I] + [_P] * 8),
+    "gv_upsample": (_I, [_L, _I, _I] + [_P] * 7),
 }
 
 

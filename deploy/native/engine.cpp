@@ -512,6 +512,39 @@ GV_API int32_t gv_skin(int64_t count, int32_t slots, int32_t joints, int32_t str
   return sound ? code : -2;
 }
 
+GV_API int32_t gv_blendshapes(int64_t count, int32_t rank, int32_t parts, const float* base, const uint8_t* part,
+                              const int8_t* basis, const float* coefficients, const float* gains, float* points,
+                              float* colors, float* scales) {
+  std::atomic<bool> sound{true};
+  int32_t code = guarded([&](Engine& e) {
+    const Kernels& kernels = e.kernels();
+    e.prepare();
+    auto piece = [&](uint32_t i, int) {
+      if (!kernels.blendshapes(i * SKIN_PIECE, std::min(count, (int64_t)(i + 1) * SKIN_PIECE), rank, parts, base, part,
+                               basis, coefficients, gains, points, colors, scales))
+        sound = false;
+    };
+    e.pool->for_each(skin_pieces(count), piece);
+  });
+  return sound ? code : -2;
+}
+
+GV_API int32_t gv_upsample(int64_t count, int32_t slots, int32_t rows, const float* base, const int32_t* index,
+                           const float* weight, const float* table, float* points, float* colors, float* scales) {
+  std::atomic<bool> sound{true};
+  int32_t code = guarded([&](Engine& e) {
+    const Kernels& kernels = e.kernels();
+    e.prepare();
+    auto piece = [&](uint32_t i, int) {
+      if (!kernels.upsample(i * SKIN_PIECE, std::min(count, (int64_t)(i + 1) * SKIN_PIECE), slots, rows, base, index,
+                            weight, table, points, colors, scales))
+        sound = false;
+    };
+    e.pool->for_each(skin_pieces(count), piece);
+  });
+  return sound ? code : -2;
+}
+
 GV_API int32_t gv_skin_backward(int64_t count, int32_t slots, int32_t joints, int32_t stride, const float* points,
                                 const int32_t* index, const float* weight, const float* transforms,
                                 const float* grad_out, float* grad_points, float* grad_transforms) {

@@ -100,3 +100,12 @@ GV_API int32_t gv_skin(int64_t count, int32_t slots, int32_t joints, int32_t str
 GV_API int32_t gv_skin_backward(int64_t count, int32_t slots, int32_t joints, int32_t stride, const float* points,
                                 const int32_t* index, const float* weight, const float* transforms,
                                 const float* grad_out, float* grad_points, float* grad_transforms);
+
+// Attributes of N Gaussians as base (N, 8: x y z r g b scale 0) + residual, colours clipped to [0, 1] and scales to 0.
+// Blendshapes: the residual is gains[part] * sum_k coefficients[part, k] basis[n, k], per body part. basis: (N, rank, 8).
+GV_API int32_t gv_blendshapes(int64_t count, int32_t rank, int32_t parts, const float* base, const uint8_t* part,
+                              const int8_t* basis, const float* coefficients, const float* gains, float* points,
+                              float* colors, float* scales);
+// Upsampling: the residual is sum_k weight[n, k] table[index[n, k]]. table: (rows, 8).
+GV_API int32_t gv_upsample(int64_t count, int32_t slots, int32_t rows, const float* base, const int32_t* index,
+                           const float* weight, const float* table, float* points, float* colors, float* scales);

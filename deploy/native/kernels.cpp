@@ -20,5 +20,6 @@ const Kernels GV_JOIN(kernels_, GV_NAMESPACE) = {
     GV_NAMESPACE::project,                GV_NAMESPACE::forward_tile,
     GV_NAMESPACE::backward_tile,          GV_NAMESPACE::backward_project,
     GV_NAMESPACE::skin,                   GV_NAMESPACE::skin_backward,
+    GV_NAMESPACE::blendshapes,            GV_NAMESPACE::upsample,
 };
 }  // namespace gv

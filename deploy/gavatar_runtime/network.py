@@ -1,0 +1,45 @@
+"""An ONNX member of a bundle as a function of arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .bundle import Bundle
+from .errors import UserError
+
+
+class Network:
+    """`network(*inputs)` -> list of outputs, both in the order of the names given and checked against the member's.
+
+    threads: of ONNX Runtime within one operator, None for one a core. Raises UserError for a member that is missing,
+    damaged, or that ONNX Runtime cannot load.
+    """
+
+    def __init__(self, bundle: Bundle, member: str, inputs: tuple[str, ...], outputs: tuple[str, ...], threads):
+        import onnxruntime  # a tenth of a second that reading a manifest need not pay
+
+        options = onnxruntime.SessionOptions()
+        options.inter_op_num_threads = 1
+        if threads is not None:
+            options.intra_op_num_threads = threads
+        # idle workers would spin on the cores that skinning and splatting need next
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        options.log_severity_level = 3
+        data = bundle.read(member)
+        try:
+            self._session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # ONNX Runtime's exceptions have no common base but this
+            cause = str(error).strip().splitlines()[0]
+            version = onnxruntime.__version__
+            raise UserError(f"{bundle.path}: ONNX Runtime {version} cannot load {member}: {cause}") from error
+        found = tuple(x.name for x in self._session.get_inputs())
+        missing = set(outputs) - {x.name for x in self._session.get_outputs()}
+        if found != inputs or missing:
+            raise UserError(
+                f"{bundle.path}: {member} has inputs {found} and lacks outputs {sorted(missing)}, expected inputs "
+                f"{inputs} and outputs {outputs}; export the avatar again"
+            )
+        self._inputs, self._outputs = inputs, list(outputs)
+
+    def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
+        return self._session.run(self._outputs, dict(zip(self._inputs, arrays, strict=True)))

@@ -1,0 +1,81 @@
+"""Tiers: how an avatar's Gaussians are decoded, from the full networks to a still set. One file a tier.
+
+A tier is a class that is constructed as `factory(options, parts=Parts)` and called as `tier(pose)`; a name of its own in
+the registry is what `gavatar-play --tier` takes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Protocol
+
+import numpy as np
+
+from ..bundle import Bundle
+from ..errors import UserError
+from ..registry import Registry
+from ..residuals import Attributes
+from ..surface import Surface
+
+DEFAULT = "full"
+
+
+@dataclasses.dataclass
+class Parts:
+    """What a tier is made from. surface: of the N Gaussians. map_surface: of the positional map, None if static.
+    threads: of ONNX Runtime, None for one a core."""
+
+    bundle: Bundle
+    surface: Surface
+    map_surface: Surface | None
+    threads: int | None = None
+
+    def check(self, attributes: Attributes, member: str) -> Attributes:
+        """The attributes; UserError when `member` gave another shape than one row a Gaussian."""
+        N = len(self.surface)
+        shapes = tuple(a.shape for a in attributes)
+        if shapes != ((N, 3), (N, 3), (N,)):
+            found = ", ".join(map(str, shapes))
+            raise UserError(
+                f"{self.bundle.path}: {member} returns shapes {found} for {N} Gaussians; export the avatar again"
+            )
+        return attributes
+
+    def arrays(self, member: str, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """The arrays of an .npz member; UserError naming the first of `names` that is not there."""
+        arrays = self.bundle.arrays(member)
+        for name in names:
+            if name not in arrays:
+                raise UserError(f"{self.bundle.path}: {member} lacks the array '{name}'; export the avatar again")
+        return arrays
+
+
+class Tier(Protocol):
+    """moves: whether the result depends on the pose; if not, it is decoded once. stage_seconds: what the last call spent
+    on `encode` and `decode`."""
+
+    moves: bool
+    stage_seconds: dict[str, float]
+
+    def __call__(self, pose: np.ndarray) -> Attributes:
+        """pose: (J, 3) axis-angle, float32, finite -> points (N, 3) canonical, metres, colors (N, 3) sRGB in [0, 1],
+        scales (N,) metres, float32. The arrays may be filled again two calls later."""
+
+
+PLAYER_TIERS: Registry[Tier] = Registry("tier")
+
+
+def player_tiers() -> Registry[Tier]:
+    """The registry of tiers, filled by the modules of this package."""
+    import importlib
+    import pkgutil
+
+    for module in pkgutil.iter_modules(__path__):
+        importlib.import_module(f"{__name__}.{module.name}")
+    return PLAYER_TIERS
+
+
+def stored_tiers(bundle: Bundle) -> list[str]:
+    """Names of the tiers that a bundle holds, the full one first."""
+    named = [str(t.get("name")) for t in bundle.manifest.tiers if isinstance(t, dict) and t.get("name") != DEFAULT]
+    return [DEFAULT, *named]

@@ -1,0 +1,32 @@
+"""The tier `baked`: the mean over the capture's poses, no network at all."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..registry import NoOptions
+from . import PLAYER_TIERS, Parts
+
+MEMBER = "baked.npz"
+
+
+def baked_attributes(parts: Parts):
+    """Points (N, 3), colors (N, 3), scales (N,) of baked.npz, float32."""
+    arrays = parts.arrays(MEMBER, ("offsets", "colors", "scales"))
+    offsets, colors, scales = (arrays[k].astype(np.float32) for k in ("offsets", "colors", "scales"))
+    parts.check((offsets, colors, scales), MEMBER)
+    return parts.surface.points + offsets, colors, scales
+
+
+@PLAYER_TIERS.register("baked", summary="one look for all poses, no network")
+class Baked:
+    """Decoded once; only skinning is left to each frame."""
+
+    moves = False
+
+    def __init__(self, options: NoOptions, *, parts: Parts):
+        self._attributes = baked_attributes(parts)
+        self.stage_seconds: dict[str, float] = {"encode": 0.0, "decode": 0.0}
+
+    def __call__(self, pose: np.ndarray):
+        return self._attributes

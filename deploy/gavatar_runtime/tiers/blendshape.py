@@ -1,0 +1,71 @@
+"""The tier `blendshape`: residuals of the pose as linear bases by body part, weighted by a tiny network of the pose."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+
+from ..errors import UserError
+from ..registry import NoOptions
+from ..residuals import blendshapes, empty, packed
+from ..rotations import matrix_from_axis_angle
+from . import PLAYER_TIERS, Parts
+from .baked import baked_attributes
+
+MEMBER = "blendshape.npz"
+ARRAYS = ("part", "basis", "gains", "low", "high", "joints", "input_low", "input_high")
+
+
+def pose_input(poses: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """(..., 9 x len(joints)) float32: the local rotation matrices of `joints`, less the identity. poses: (..., J, 3)."""
+    R = matrix_from_axis_angle(np.asarray(poses, np.float32)[..., joints, :]) - np.eye(3, dtype=np.float32)
+    return R.reshape(*R.shape[:-3], -1).astype(np.float32)
+
+
+@PLAYER_TIERS.register("blendshape", summary="pose residuals as linear bases by body part")
+class Blendshape:
+    """blendshape.npz: part (N,), basis (N, K, 8) int8, gains (P, 8); the network's layers weight_0, bias_0, weight_1, ...
+    with ReLU between them, from `pose_input` of `joints` to the P x K coefficients; low and high (P x K), between which
+    coefficients are clamped, and input_low and input_high, between which its inputs are: the range of training, so that
+    no pose can leave what was seen."""
+
+    moves = True
+
+    def __init__(self, options: NoOptions, *, parts: Parts):
+        arrays = parts.arrays(MEMBER, ARRAYS)
+        self._base = packed(*baked_attributes(parts))
+        self._part = np.ascontiguousarray(arrays["part"], np.uint8)
+        self._basis = np.ascontiguousarray(arrays["basis"], np.int8)
+        self._gains, self._low, self._high = arrays["gains"], arrays["low"], arrays["high"]
+        self._input_range = arrays["input_low"], arrays["input_high"]
+        self._joints = arrays["joints"].astype(int)
+        count = sum(name.startswith("weight_") for name in arrays)
+        try:
+            self._layers = [(arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(count)]
+        except KeyError as error:
+            raise UserError(f"{parts.bundle.path}: {MEMBER} lacks the array {error}; export the avatar again") from None
+        N, K = self._basis.shape[:2]
+        if len(self._part) != N or len(parts.surface) != N or self._low.shape != (len(self._gains) * K,):
+            raise UserError(f"{parts.bundle.path}: {MEMBER} does not fit {len(parts.surface)} Gaussians; export it again")
+        self._out = [empty(N) for _ in range(3)]
+        self._calls = 0
+        self.stage_seconds: dict[str, float] = {}
+
+    def coefficients(self, pose: np.ndarray) -> np.ndarray:
+        """(P, K) weights of the bases in one pose."""
+        x = np.clip(pose_input(pose, self._joints), *self._input_range)
+        for i, (weight, bias) in enumerate(self._layers):
+            x = x @ weight + bias
+            if i < len(self._layers) - 1:
+                x = np.maximum(x, 0)
+        return np.clip(x, self._low, self._high).reshape(len(self._gains), -1)
+
+    def __call__(self, pose: np.ndarray):
+        start = perf_counter()
+        weights = self.coefficients(pose)
+        encoded = perf_counter()
+        self._calls += 1
+        out = blendshapes(self._base, self._part, self._basis, weights, self._gains, self._out[self._calls % 3])
+        self.stage_seconds = {"encode": encoded - start, "decode": perf_counter() - encoded}
+        return out

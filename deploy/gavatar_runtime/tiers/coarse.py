@@ -1,0 +1,52 @@
+"""The tier `coarse`: residuals of the pose decoded on a coarse sampling of the surface and upsampled onto `baked`."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+import numpy as np
+
+from ..network import Network
+from ..registry import NoOptions
+from ..residuals import empty, packed, upsample
+from . import PLAYER_TIERS, Parts
+from .baked import baked_attributes
+from .full import OUTPUTS, Encoder
+
+DECODER, MEMBER = "decoder_coarse.onnx", "coarse.npz"
+
+
+@PLAYER_TIERS.register("coarse", summary="pose residuals decoded on few points and upsampled")
+class Coarse:
+    """coarse.npz: index (N, K) and weight (N, K) of the M coarse points about each Gaussian, weights summing to 1;
+    base (M, 7), the coarse points' mean offset, colour and scale over the capture's poses, which the residuals are taken
+    from; ratio, of fine to coarse spacing, by which residuals of the scale shrink."""
+
+    moves = True
+
+    def __init__(self, options: NoOptions, *, parts: Parts):
+        arrays = parts.arrays(MEMBER, ("index", "weight", "base", "ratio"))
+        self._encoder = Encoder(parts, "encoder.onnx")
+        self._decoder = Network(parts.bundle, DECODER, ("pose_features",), OUTPUTS, parts.threads)
+        self._static = packed(*baked_attributes(parts))
+        self._index = np.ascontiguousarray(arrays["index"], np.int32)
+        self._weight = np.ascontiguousarray(arrays["weight"], np.float32)
+        self._base = arrays["base"].astype(np.float32)
+        self._ratio = float(arrays["ratio"])
+        self._table = np.zeros((len(self._base), 8), np.float32)
+        self._out = [empty(len(parts.surface)) for _ in range(3)]
+        self._calls = 0
+        self.stage_seconds: dict[str, float] = {}
+
+    def __call__(self, pose: np.ndarray):
+        start = perf_counter()
+        features = self._encoder(pose)
+        encoded = perf_counter()
+        offsets, colors, scales = self._decoder(features)
+        self._table[:, :3], self._table[:, 3:6], self._table[:, 6] = offsets, colors, scales
+        self._table[:, :7] -= self._base
+        self._table[:, 6] *= self._ratio  # coarse points stand further apart than fine ones
+        self._calls += 1
+        out = upsample(self._static, self._index, self._weight, self._table, self._out[self._calls % 3])
+        self.stage_seconds = {"encode": encoded - start, "decode": perf_counter() - encoded}
+        return out
