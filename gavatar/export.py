@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
-import io
 import tempfile
-import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import onnx
 import torch
-from onnx import TensorProto, helper, numpy_helper
-from torch import Tensor, nn
-from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
+from onnx import helper
 
 from gavatar_runtime.avatar import Avatar as PlayedAvatar
 from gavatar_runtime.body import check_motion_fits
@@ -22,105 +18,15 @@ from gavatar_runtime.bundle import FORMAT_VERSION, Manifest, pack_body, pack_sur
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motion import Motion
 
-from .avatar import Avatar, sample_uv
 from .evaluation import pose_features
+from .graphs import OPSET, decoder_model, encoder_model
 from .motion import MotionTable
+from .registry import TIERS
+from .tiers import TierSource
 from .training.run import Run
 
-OPSET = 18
 POSITION_TOLERANCE = 1e-4  # metres: a tenth of a millimetre, far below a pixel at any sensible distance
 COLOR_TOLERANCE = 1 / 255  # one 8-bit step
-
-
-def fold_batchnorm(module: nn.Module) -> nn.Module:
-    """A copy of `module` in eval mode in which every BatchNorm that follows a linear or (transposed) convolution layer
-    within an nn.Sequential is folded into it: the same function as evaluated, one operation less."""
-    module = copy.deepcopy(module).eval()
-    for parent in list(module.modules()):
-        if isinstance(parent, nn.Sequential):
-            _fold_sequential(parent)
-    return module
-
-
-def _fold_sequential(layers: nn.Sequential) -> None:
-    for i in range(len(layers) - 1):
-        layer, norm = layers[i], layers[i + 1]
-        if isinstance(layer, nn.Linear) and isinstance(norm, nn.BatchNorm1d):
-            layers[i] = fuse_linear_bn_eval(layer, norm)
-        elif isinstance(layer, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
-            layers[i] = fuse_conv_bn_eval(layer, norm)
-        elif isinstance(layer, nn.ConvTranspose2d) and isinstance(norm, nn.BatchNorm2d):
-            layers[i] = fuse_conv_bn_eval(layer, norm, transpose=True)
-        else:
-            continue
-        layers[i + 1] = nn.Identity()
-
-
-class DecoderGraph(nn.Module):
-    """The decoder as deployed: pose features in, attributes of the valid points out. The learnable features are
-    smoothed once, here, and added to the pose features before sampling when their maps are of one size."""
-
-    def __init__(self, avatar: Avatar, map_size: int):
-        super().__init__()
-        self.decoder = fold_batchnorm(avatar.decoder)
-        features = avatar.smooth(avatar.features).detach()
-        self.add_first = features.shape[-1] == map_size
-        if not self.add_first:
-            features = sample_uv(features, avatar.uv)
-        self.register_buffer("features", features)
-        self.register_buffer("uv", avatar.uv)
-        self.register_buffer("spacing", avatar.spacing)
-
-    def forward(self, pose_features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        if self.add_first:
-            sampled = sample_uv(self.features + pose_features, self.uv)
-        else:
-            sampled = self.features + sample_uv(pose_features, self.uv)
-        out = self.decoder(sampled[0], self.uv, self.spacing)
-        return out.offsets, out.colors, out.scales
-
-
-def _to_onnx(module: nn.Module, example: Tensor, inputs: list[str], outputs: list[str]) -> onnx.ModelProto:
-    buffer = io.BytesIO()
-    with warnings.catch_warnings():
-        # torch.export's exporter gives the same graph 25 times slower and with one more dependency
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            module, (example,), buffer, input_names=inputs, output_names=outputs, opset_version=OPSET, dynamo=False
-        )
-    return onnx.load_from_string(buffer.getvalue())
-
-
-def encoder_model(avatar: Avatar) -> onnx.ModelProto:
-    """positional_map (1, 3, M, M) metres -> pose_features (1, C, M, M)."""
-    size = avatar.encoder.map_size
-    example = torch.zeros(1, 3, size, size)
-    return _to_onnx(fold_batchnorm(avatar.encoder), example, ["positional_map"], ["pose_features"])
-
-
-def decoder_model(avatar: Avatar) -> onnx.ModelProto:
-    """pose_features -> offsets (N, 3), colors (N, 3), scales (N,); without input for a static avatar, whose decoder
-    does not depend on the pose and is evaluated here once and for all."""
-    outputs = ["offsets", "colors", "scales"]
-    if avatar.encoder is None:
-        with torch.no_grad():
-            attributes = avatar.attributes()
-        values = {name: getattr(attributes, name)[0].numpy() for name in outputs}
-        return _constant_model(values)
-    size = avatar.encoder.map_size
-    graph = DecoderGraph(avatar, size).eval()
-    return _to_onnx(graph, torch.zeros(1, avatar.config.features, size, size), ["pose_features"], outputs)
-
-
-def _constant_model(values: dict[str, np.ndarray]) -> onnx.ModelProto:
-    nodes, initializers, outputs = [], [], []
-    for name, value in values.items():
-        value = np.ascontiguousarray(value, np.float32)
-        initializers.append(numpy_helper.from_array(value, f"{name}_value"))
-        nodes.append(helper.make_node("Identity", [f"{name}_value"], [name]))
-        outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, value.shape))
-    graph = helper.make_graph(nodes, "static_avatar", [], outputs, initializers)
-    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=9)
 
 
 @dataclasses.dataclass
@@ -164,8 +70,14 @@ def torch_gaussians(run: Run, motion: Motion, frame: int):
     return run.avatar.pose(attributes, *table())[0]
 
 
-def export(run: Run, path: str | Path, poses: int = 8) -> Manifest:
+def export(
+    run: Run, path: str | Path, poses: int = 8, *, uv: int | None = None, tiers: Sequence[str] = (), progress=False
+) -> Manifest:
     """Write the bundle of a run to `path` and return its manifest.
+
+    uv: side of the atlas whose texels are its Gaussians, None for the one it was trained at (scales in units of the
+    point spacing keep the surface closed). tiers: cheaper ways to decode it
+    that are stored too, each with its measured error and cost.
 
     The bundle is first written beside its place, played back and compared with the PyTorch model; it is put in place
     only if positions agree within 0.1 mm and colours within 1/255, else UserError and nothing is left.
@@ -173,6 +85,10 @@ def export(run: Run, path: str | Path, poses: int = 8) -> Manifest:
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     avatar, data = run.avatar, run.built.body.data
+    tiers = _with_needs(tiers, run)
+    if uv is not None and uv != run.uv:
+        run = dataclasses.replace(run, uv=uv)
+        avatar.sample_at(run.built.surface(uv))
     manifest = _manifest(run)
     members = {"decoder.onnx": _with_metadata(decoder_model(avatar), manifest)}
     encoder_map = None
@@ -182,10 +98,18 @@ def export(run: Run, path: str | Path, poses: int = 8) -> Manifest:
     members["surface.npz"] = pack_surfaces(run.built.surface(run.uv), encoder_map)
     joints = data.shaped(run.built.betas)[1]
     members["body.npz"] = pack_body(data.joint_names, data.parents, joints, run.built.betas)
+    source = TierSource(run, avatar.surface, lambda model: _with_metadata(model, manifest), progress)
+    for name in tiers:
+        members |= TIERS.build(name).build(source)
+    manifest = dataclasses.replace(manifest, tiers=[{"name": name} for name in tiers])
     with tempfile.TemporaryDirectory(prefix=".gavatar-export-", dir=path.parent) as scratch:
         draft = Path(scratch) / "draft.gavatar"
         write_bundle(draft, manifest, members)
         check = verify(draft, run, poses)
+        if tiers:
+            from .tradeoff import describe_tiers
+
+            manifest = dataclasses.replace(manifest, tiers=describe_tiers(draft, run, progress=progress))
     # written so that a NaN fails too
     if not (check.position_m <= POSITION_TOLERANCE and check.color <= COLOR_TOLERANCE):
         raise UserError(
@@ -198,12 +122,59 @@ def export(run: Run, path: str | Path, poses: int = 8) -> Manifest:
     return write_bundle(path, manifest, members)
 
 
+def export_front(run: Run, path: str | Path, poses: int = 8, *, uv: int | None = None, progress=False) -> Manifest:
+    """As `export`, with those tiers that no other stored tier beats in both speed and error, as measured here. A static
+    avatar has none."""
+    if run.avatar.encoder is None:
+        return export(run, path, poses, uv=uv, progress=progress)
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".gavatar-export-", dir=path.parent) as scratch:
+        draft = Path(scratch) / "all.gavatar"
+        manifest = export(run, draft, poses, uv=uv, tiers=TIERS.names(), progress=progress)
+        bundle = read_bundle(draft)
+        members = {name: bundle.read(name) for name in bundle.manifest.members}
+    kept = on_front(manifest.tiers)
+    wanted = set(manifest.required) | {m for tier in kept for m in tier["members"]}
+    return write_bundle(
+        path, dataclasses.replace(manifest, tiers=kept), {k: v for k, v in members.items() if k in wanted}
+    )
+
+
+def on_front(tiers: Sequence[dict]) -> list[dict]:
+    """The descriptions of tiers that no other beats in both `frame_ms` and `psnr_capture`; `full` always stays."""
+
+    def beaten(tier: dict) -> bool:
+        return any(
+            o["frame_ms"] <= tier["frame_ms"] and o["psnr_capture"] >= tier["psnr_capture"] and o is not tier
+            for o in tiers
+        )
+
+    return [tier for tier in tiers if tier["name"] == "full" or not beaten(tier)]
+
+
+def _with_needs(names: Sequence[str], run: Run) -> list[str]:
+    """The tiers asked for and those they read, each once, `full` first; UserError for an unknown one, or of a static
+    avatar, whose look is already one for all poses."""
+    wanted = []
+    for name in dict.fromkeys(names):
+        for needed in (*TIERS[name].factory.needs, name):
+            if needed not in wanted and needed != "full":
+                wanted.append(needed)
+    if wanted and run.avatar.encoder is None:
+        raise UserError(
+            f"{run.directory}: a static avatar needs no tiers (asked: {', '.join(wanted)}): it is decoded once; leave "
+            "--tiers out"
+        )
+    return ["full", *wanted] if wanted else []
+
+
 def _manifest(run: Run) -> Manifest:
     config, data = run.config, run.built.body.data
     dynamic = run.avatar.encoder is not None
     return Manifest(
         name=run.capture.name,
-        gaussians=len(run.built.surface(run.uv)),
+        gaussians=len(run.avatar.surface),
         dynamic=dynamic,
         body={
             "model": data.name,

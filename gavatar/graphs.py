@@ -87,9 +87,9 @@ def _as_subpixel(layer: nn.ConvTranspose2d) -> nn.Sequential:
 class RowDecoder(nn.Module):
     """The decoder for a chunk of P points, as the body of a loop over chunks.
 
-    texels: (M * M, C), the map to sample (the learnable features, smoothed once, already added where the maps are of one
-    size; else their samples are `constant`, (P, C)). corner, corner_weight: (P, 4), see `bilinear`: gathering rows is
-    several times faster than ONNX Runtime's GridSample.
+    texels: (M * M, C), the map to sample (the learnable features, smoothed once, already added where the maps are of
+    one size; else their samples are `constant`, (P, C)). corner, corner_weight: (P, 4), see `bilinear`: gathering
+    rows is several times faster than ONNX Runtime's GridSample.
     """
 
     def __init__(self, avatar: Avatar, sampled_constant: bool):
@@ -108,8 +108,8 @@ class RowDecoder(nn.Module):
 
 
 def bilinear(uv: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """The four texels, (N, 4) int64 row x size + column, and weights, (N, 4) float32, by which `sample_uv` reads a map of
-    `size` x `size` texels at uv (N, 2)."""
+    """The four texels, (N, 4) int64 row x size + column, and weights, (N, 4) float32, by which `sample_uv` reads a map
+    of `size` x `size` texels at uv (N, 2)."""
     x, y = np.clip(np.asarray(uv, np.float64) * size - 0.5, 0, size - 1).T
     column, row = np.minimum(x.astype(np.int64), size - 2), np.minimum(y.astype(np.int64), size - 2)
     a, b = x - column, y - row
@@ -145,7 +145,8 @@ def decoder_model(avatar: Avatar, surface: Surface | None = None, quantize=None)
     """pose_features -> offsets (N, 3), colors (N, 3), scales (N,) on the points of `surface` (None for the avatar's);
     without input for a static avatar, whose decoder does not depend on the pose and is evaluated here once and for all.
 
-    quantize: a function from the model of one chunk to another with the same inputs and outputs, or None.
+    quantize: a function (rows, scanned, features) -> rows, or None. rows: the model of one chunk, whose inputs are
+    `texels` and one row of each array in `scanned`; features (1, C, M, M) are added to the pose features, or None.
     """
     surface = surface or avatar.surface
     if avatar.encoder is None:
@@ -167,7 +168,9 @@ def decoder_model(avatar: Avatar, surface: Surface | None = None, quantize=None)
     example = (torch.zeros(size * size, channels), *(torch.from_numpy(x[0]) for x in scanned.values()))
     rows = to_onnx(RowDecoder(avatar, not add_first).eval(), example, ["texels", *scanned], list(OUTPUTS))
     if quantize is not None:
-        rows = quantize(rows)
+        inputs = {i.name for i in rows.graph.input}
+        scanned = {name: values for name, values in scanned.items() if name in inputs}
+        rows = quantize(rows, scanned, features.numpy() if add_first else None)
     constants = {"features": features.numpy()} if add_first else {}
     return _scan_model(rows, scanned, constants, (1, channels, size, size), count)
 

@@ -14,6 +14,7 @@ import importlib.metadata
 import pkgutil
 import typing
 import warnings
+from pathlib import Path
 
 from gavatar_runtime.motions import MOTIONS
 from gavatar_runtime.registry import Component, NoOptions, Registry
@@ -26,13 +27,14 @@ DECODERS: Registry = Registry("decoder")
 RASTERIZERS: Registry = Registry("rasterizer")
 LOSSES: Registry = Registry("loss")
 CAPTURES: Registry = Registry("capture_format")
+TIERS: Registry = Registry("tier")
 
-REGISTRIES: tuple[Registry, ...] = (BODIES, ENCODERS, DECODERS, RASTERIZERS, LOSSES, CAPTURES, MOTIONS)
+REGISTRIES: tuple[Registry, ...] = (BODIES, ENCODERS, DECODERS, RASTERIZERS, LOSSES, CAPTURES, MOTIONS, TIERS)
 ENTRY_POINT_GROUP = "gavatar.plugins"
-PLUGIN_ROOMS = ("bodies", "captures", "decoders", "encoders", "losses", "rasterizers")
+PLUGIN_ROOMS = ("bodies", "captures", "decoders", "encoders", "losses", "rasterizers", "tiers")
 
 __all__ = [
-    "BODIES", "CAPTURES", "DECODERS", "ENCODERS", "LOSSES", "MOTIONS", "RASTERIZERS", "REGISTRIES",
+    "BODIES", "CAPTURES", "DECODERS", "ENCODERS", "LOSSES", "MOTIONS", "RASTERIZERS", "REGISTRIES", "TIERS",
     "Component", "NoOptions", "PluginFailure", "Registry", "fill_config_store", "load_plugins",
 ]  # fmt: skip
 
@@ -47,13 +49,27 @@ class PluginFailure:
     extra: str = ""
 
 
+def _room(name: str):
+    """The package of a room. An editable install knows the rooms of the day it was made: a later one is found beside
+    this library."""
+    try:
+        return importlib.import_module(f"gavatar_plugins.{name}")
+    except ModuleNotFoundError:
+        beside = Path(__file__).resolve().parents[1] / "gavatar_plugins"
+        if not (beside / name).is_dir():
+            raise
+        namespace = importlib.import_module("gavatar_plugins")
+        namespace.__path__ = [*namespace.__path__, str(beside)]
+        return importlib.import_module(f"gavatar_plugins.{name}")
+
+
 def _builtin_modules() -> list[str]:
     """Every module in a room of the namespace package, wherever its portions are installed.
 
     Each room is asked by name, since neither walking folders nor `pkgutil.walk_packages` sees the rooms of a namespace
     package that is installed in editable mode.
     """
-    rooms = [importlib.import_module(f"gavatar_plugins.{room}") for room in PLUGIN_ROOMS]
+    rooms = [_room(room) for room in PLUGIN_ROOMS]
     return sorted(module.name for room in rooms for module in pkgutil.iter_modules(room.__path__, f"{room.__name__}."))
 
 

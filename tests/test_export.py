@@ -12,7 +12,8 @@ from torch import nn
 
 import gavatar.export as module
 from gavatar.config import compose_config
-from gavatar.export import export, fold_batchnorm, torch_gaussians
+from gavatar.export import export, torch_gaussians
+from gavatar.graphs import fold_batchnorm
 from gavatar.training.run import open_run, train
 from gavatar_runtime.avatar import Avatar as PlayedAvatar
 from gavatar_runtime.bundle import read_bundle

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from time import perf_counter
 
 import numpy as np
 
 from .bundle import Bundle, read_bundle
+from .detail import thinned
 from .errors import UserError
 from .gaussians import Gaussians
 from .motion import Motion
 from .skeletons import fit_motion, scaled_to_legs
 from .skinning import skin
+from .surface import Surface
 from .tiers import DEFAULT, Parts, player_tiers, stored_tiers
 
 
@@ -20,25 +23,40 @@ class Avatar:
     """The avatar of a bundle, ready to be posed.
 
     bundle: an opened `Bundle` or the path of one. tier: how its Gaussians are decoded, one that the
-    bundle holds. threads: of ONNX Runtime within one operator, None for one a core.
+    bundle holds. uv: level of detail as a side of the atlas, None for all Gaussians of the bundle (`detail.thinned`).
+    reuse: decode every so many calls only and fade from one result to the next in between, which lags by as many; it
+    takes the calls for the frames of one motion. threads: of ONNX Runtime within one operator, None for one a core.
     joint_names: of the body, J names. joints: (J, 3) rest joints of its shape, metres. surface: where its N Gaussians
     sit. with_normals: whether `gaussians` shall give normals, for rasterizers that want them.
     stage_seconds: what the last call of `gaussians` spent on `encode`, `decode` and `skin`.
     Raises UserError for a bundle that cannot be read or that ONNX Runtime cannot load.
     """
 
-    def __init__(self, bundle: Bundle | str | os.PathLike, *, tier: str = DEFAULT, threads: int | None = None):
+    def __init__(
+        self,
+        bundle: Bundle | str | os.PathLike,
+        *,
+        tier: str = DEFAULT,
+        uv: int | None = None,
+        reuse: int = 1,
+        threads: int | None = None,
+    ):
         if threads is not None and threads < 1:
             raise UserError(f"threads={threads}: give a whole number from 1 up")
         self.bundle = bundle if isinstance(bundle, Bundle) else read_bundle(bundle)
         self.name = self.bundle.manifest.name
-        self.surface, map_surface = self.bundle.surfaces()
+        if reuse < 1:
+            raise UserError(f"reuse={reuse}: give a whole number from 1 up")
+        stored, map_surface = self.bundle.surfaces()
+        chosen, growth = (None, 1.0) if uv is None or uv == stored.resolution else thinned(stored, uv)
+        self.surface = stored if chosen is None else _taken(stored, chosen)
         self.joints = self.surface.joints
         self.joint_names = self._read_joint_names()
         self.with_normals = False
         self.stage_seconds: dict[str, float] = {}
         self.tier = tier
-        self._tier = self._build_tier(tier, map_surface, threads)
+        self._tier = self._build_tier(tier, Parts(self.bundle, stored, map_surface, threads, chosen, growth))
+        self._reuse, self._faded = reuse, None
         self._static = None
         self._means = [np.empty((len(self.surface), 3), np.float32) for _ in range(3)]
         self._calls = 0
@@ -97,14 +115,28 @@ class Avatar:
 
     def _decode(self, pose: np.ndarray):
         if self._tier.moves:
-            return self._tier(pose)
+            return self._tier(pose) if self._reuse == 1 else self._reused(pose)
         if self._static is None:
             self._static = self._tier(pose)
         else:
             self._tier.stage_seconds = {"encode": 0.0, "decode": 0.0}
         return self._static
 
-    def _build_tier(self, name: str, map_surface, threads: int | None):
+    def _reused(self, pose: np.ndarray):
+        phase = self._calls % self._reuse
+        if phase == 0 or self._faded is None:
+            latest = tuple(a.copy() for a in self._tier(pose))
+            self._faded = (latest if self._faded is None else self._faded[1], latest)
+        else:
+            self._tier.stage_seconds = {"encode": 0.0, "decode": 0.0}
+        start = perf_counter()
+        before, after = self._faded
+        share = np.float32((phase + 1) / self._reuse)
+        mixed = tuple(a + share * (b - a) for a, b in zip(before, after, strict=True))
+        self._tier.stage_seconds["decode"] += perf_counter() - start
+        return mixed
+
+    def _build_tier(self, name: str, parts: Parts):
         tiers, stored = player_tiers(), stored_tiers(self.bundle)
         tiers[name]  # an unknown name is told from one that this bundle lacks
         if name not in stored:
@@ -112,7 +144,7 @@ class Avatar:
                 f"{self.bundle.path} holds no tier '{name}' (it has {', '.join(stored)}); export it again with "
                 f"gavatar-export RUN --tiers {name}"
             )
-        return tiers.build(name, parts=Parts(self.bundle, self.surface, map_surface, threads))
+        return tiers.build(name, parts=parts)
 
     def _check_finite(self, pose: np.ndarray, trans: np.ndarray) -> None:
         bad = ~np.isfinite(pose).all(1)
@@ -129,3 +161,9 @@ class Avatar:
                 f"{self.surface.num_joints}; export the avatar again"
             )
         return names
+
+
+def _taken(surface: Surface, chosen: np.ndarray) -> Surface:
+    """The surface with only the `chosen` points."""
+    names = ("texel", "uv", "face", "barycentric", "points", "normals", "joint_index", "joint_weight", "spacing")
+    return dataclasses.replace(surface, **{name: getattr(surface, name)[chosen] for name in names})

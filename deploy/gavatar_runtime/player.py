@@ -7,6 +7,7 @@ import dataclasses
 import importlib
 import pkgutil
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from time import perf_counter
 from typing import Any
 
@@ -31,9 +32,12 @@ class Timings:
     blend), other (whatever none of them counted) and write."""
 
     stages: dict[str, list[float]] = dataclasses.field(default_factory=dict)
+    walls: list[float] = dataclasses.field(default_factory=list)
 
-    def add(self, seconds: dict[str, float]) -> None:
-        """Append one frame."""
+    def add(self, seconds: dict[str, float], wall: float | None = None) -> None:
+        """Append one frame. wall: seconds from the frame before to this one, where stages ran beside each other."""
+        if wall is not None:
+            self.walls.append(wall)
         for stage, value in seconds.items():
             self.stages.setdefault(stage, []).append(value)
 
@@ -48,6 +52,8 @@ class Timings:
     @property
     def frame_seconds(self) -> float:
         """Median seconds of a frame without its writing; NaN before the first."""
+        if self.walls:
+            return float(np.median(_warm(self.walls)))
         rows = [v for stage, v in self.stages.items() if stage != WRITE]
         return float(np.median(_warm(np.sum(rows, 0)))) if rows else float("nan")
 
@@ -70,6 +76,7 @@ def play(
     *,
     background: Sequence[float] = (1.0, 1.0, 1.0),
     progress: Callable[[int, int], None] | None = None,
+    pipelined: bool = True,
 ) -> Timings:
     """Write a motion's frames and return what each stage of each took.
 
@@ -77,6 +84,7 @@ def play(
     `render(gaussians, camera, background) -> Rendering` and, after it, `stage_seconds`; if it has `render_uint8`, which
     returns (H, W, 3) bytes, that is used. With a true `wants_normals`, the avatar gives normals.
     background: sRGB in [0, 1].
+    pipelined: decode a frame while the one before is drawn, and write in a thread of its own; the same images.
     progress: called as `progress(done, total)` after each frame. If anything fails, the writer leaves nothing behind.
     """
     cameras = [cameras] * len(motion) if isinstance(cameras, Camera) else cameras
@@ -88,23 +96,55 @@ def play(
     timings = Timings()
     wanted = writer.choose(len(motion))
     render = getattr(rasterizer, "render_uint8", None) or (lambda *scene: to_bytes(rasterizer.render(*scene).color))
+    threads = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
+    decoding, writing = threads if pipelined else (_Inline(), _Inline())
+
+    def decode(frame: int):
+        gaussians = avatar.gaussians(motion.poses[frame], motion.trans[frame])
+        return gaussians, dict(avatar.stage_seconds)
+
+    def write(image: np.ndarray) -> float:
+        start = perf_counter()
+        writer.add(image)
+        return perf_counter() - start
+
     try:
+        ahead = decoding.submit(decode, wanted[0]) if wanted else None
+        start, written = perf_counter(), None
         for done, frame in enumerate(wanted, 1):
-            start = perf_counter()
-            gaussians = avatar.gaussians(motion.poses[frame], motion.trans[frame])
+            gaussians, stages = ahead.result()
+            if done < len(wanted) and pipelined:
+                ahead = decoding.submit(decode, wanted[done])
             image = render(gaussians, cameras[frame], background)
+            stages |= rasterizer.stage_seconds
             drawn = perf_counter()
-            writer.add(image)
-            written = perf_counter()
-            stages = {**avatar.stage_seconds, **rasterizer.stage_seconds}
-            other = max(0.0, drawn - start - sum(stages.values()))
-            timings.add({**stages, OTHER: other, WRITE: written - drawn})
+            before = 0.0 if written is None else written.result()  # at most one frame waits to be written
+            # the rasterizer draws the next frame into the same buffer
+            written = writing.submit(write, image.copy() if pipelined else image)
+            wall = drawn - start
+            timings.add({**stages, OTHER: max(0.0, wall - sum(stages.values())), WRITE: before}, wall)
             if progress is not None:
                 progress(done, len(wanted))
+            start = perf_counter()
+            if done < len(wanted) and not pipelined:
+                ahead = decoding.submit(decode, wanted[done])
+        if written is not None:
+            timings.stages[WRITE] = [*timings.stages[WRITE][1:], written.result()]
         writer.close()
     finally:
+        for thread in threads:
+            thread.shutdown(wait=True, cancel_futures=True)
         writer.discard()
     return timings
+
+
+class _Inline:
+    """An executor that does at once what is asked of it."""
+
+    def submit(self, function, *arguments) -> Future:
+        future: Future = Future()
+        future.set_result(function(*arguments))
+        return future
 
 
 def build_rasterizer(name: str = "auto", options: Mapping[str, Any] | None = None, *, threads: int | None = None):

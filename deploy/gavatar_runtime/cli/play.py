@@ -63,6 +63,23 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     view.add_argument("--background", type=_color, default="white", help="white, black, grey, green, #rrggbb or r,g,b")
     work = p.add_argument_group("work")
+    work.add_argument("--tier", metavar="NAME", help="how it is decoded, of those the bundle holds (default: full)")
+    work.add_argument(
+        "--min-psnr", type=_positive, metavar="DB", help="the fastest stored tier this close to the full model"
+    )
+    work.add_argument(
+        "--target-fps", type=_positive, metavar="FPS", help="the closest stored tier that plays so fast on this machine"
+    )
+    work.add_argument(
+        "--budget-ms",
+        type=_positive,
+        metavar="MS",
+        help="keep frames within MS: adapts the level of detail as it plays",
+    )
+    work.add_argument(
+        "--uv", type=_count, metavar="R", help="level of detail: side of the atlas (default: all Gaussians)"
+    )
+    work.add_argument("--reuse", type=_count, default=1, metavar="K", help="decode every K-th frame only (default: 1)")
     work.add_argument(
         "--rasterizer", default="auto", metavar="NAME", help="auto, or one of gavatar-list (default: auto)"
     )
@@ -83,12 +100,17 @@ def main(argv: list[str] | None = None) -> int:
     options = parse_settings(arguments.set)
 
     from ..avatar import Avatar
+    from ..bundle import read_bundle
     from ..motions import read_motion
     from ..player import build_rasterizer, play
+    from ..selection import choose_tier
     from ..writers import open_writer
 
     motion = read_motion(arguments.motion, **options["motion"])
-    avatar = Avatar(arguments.avatar, threads=arguments.threads)
+    bundle = read_bundle(arguments.avatar)
+    tier = choose_tier(bundle, arguments)
+    options_of_avatar = {"reuse": arguments.reuse, "threads": arguments.threads}
+    avatar = Avatar(bundle, tier=tier, uv=arguments.uv, **options_of_avatar)
     motion, ignored = avatar.fit(clip(motion, arguments.fps, arguments.seconds, arguments.frames))
     rasterizer = build_rasterizer(arguments.rasterizer, options["rasterizer"], threads=arguments.threads)
     cameras = choose_cameras(arguments, avatar, motion)
@@ -103,7 +125,7 @@ def main(argv: list[str] | None = None) -> int:
     timings = play(avatar, motion, cameras, rasterizer, writer, background=arguments.background, progress=progress)
     report = {
         "avatar": avatar.name, "motion": motion.name, "output": str(out), "frames": len(timings), **size,
-        "fps": motion.fps, "gaussians": len(avatar), "rasterizer": type(rasterizer).__name__,
+        "fps": motion.fps, "gaussians": len(avatar), "tier": tier, "rasterizer": type(rasterizer).__name__,
         "threads": arguments.threads, "ignored_joints": list(ignored), "ready_seconds": ready,
         **_timing_report(timings),
     }  # fmt: skip

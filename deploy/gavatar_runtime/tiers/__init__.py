@@ -1,7 +1,7 @@
 """Tiers: how an avatar's Gaussians are decoded, from the full networks to a still set. One file a tier.
 
-A tier is a class that is constructed as `factory(options, parts=Parts)` and called as `tier(pose)`; a name of its own in
-the registry is what `gavatar-play --tier` takes.
+A tier is a class that is constructed as `factory(options, parts=Parts)` and called as `tier(pose)`; its name in the
+registry is what `gavatar-play --tier` takes.
 """
 
 from __future__ import annotations
@@ -22,16 +22,27 @@ DEFAULT = "full"
 
 @dataclasses.dataclass
 class Parts:
-    """What a tier is made from. surface: of the N Gaussians. map_surface: of the positional map, None if static.
-    threads: of ONNX Runtime, None for one a core."""
+    """What a tier is made from. surface: of all Gaussians that the bundle holds. map_surface: of the positional map,
+    None if static. threads: of ONNX Runtime, None for one a core. chosen: which N of the Gaussians are wanted, None for
+    all. growth: what their scales are multiplied by."""
 
     bundle: Bundle
     surface: Surface
     map_surface: Surface | None
     threads: int | None = None
+    chosen: np.ndarray | None = None
+    growth: float = 1.0
+
+    def __len__(self) -> int:
+        """How many Gaussians are wanted, N."""
+        return len(self.surface) if self.chosen is None else len(self.chosen)
+
+    def take(self, rows: np.ndarray) -> np.ndarray:
+        """The wanted ones of one row a Gaussian of the bundle."""
+        return rows if self.chosen is None else np.ascontiguousarray(rows[self.chosen])
 
     def check(self, attributes: Attributes, member: str) -> Attributes:
-        """The attributes; UserError when `member` gave another shape than one row a Gaussian."""
+        """The attributes; UserError when `member` gave another shape than one row a Gaussian of the bundle."""
         N = len(self.surface)
         shapes = tuple(a.shape for a in attributes)
         if shapes != ((N, 3), (N, 3), (N,)):
@@ -51,9 +62,10 @@ class Parts:
 
 
 class Tier(Protocol):
-    """moves: whether the result depends on the pose; if not, it is decoded once. stage_seconds: what the last call spent
-    on `encode` and `decode`."""
+    """members: of the bundle, that it reads beside the surface. moves: whether the result depends on the pose; if not,
+    it is decoded once. stage_seconds: what the last call spent on `encode` and `decode`."""
 
+    members: tuple[str, ...]
     moves: bool
     stage_seconds: dict[str, float]
 

@@ -15,13 +15,15 @@ def baked_attributes(parts: Parts):
     arrays = parts.arrays(MEMBER, ("offsets", "colors", "scales"))
     offsets, colors, scales = (arrays[k].astype(np.float32) for k in ("offsets", "colors", "scales"))
     parts.check((offsets, colors, scales), MEMBER)
-    return parts.surface.points + offsets, colors, scales
+    points, colors, scales = map(parts.take, (parts.surface.points + offsets, colors, scales))
+    return points, colors, scales * np.float32(parts.growth)
 
 
 @PLAYER_TIERS.register("baked", summary="one look for all poses, no network")
 class Baked:
     """Decoded once; only skinning is left to each frame."""
 
+    members = (MEMBER,)
     moves = False
 
     def __init__(self, options: NoOptions, *, parts: Parts):

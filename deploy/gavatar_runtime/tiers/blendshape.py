@@ -11,6 +11,7 @@ from ..registry import NoOptions
 from ..residuals import blendshapes, empty, packed
 from ..rotations import matrix_from_axis_angle
 from . import PLAYER_TIERS, Parts
+from .baked import MEMBER as BAKED
 from .baked import baked_attributes
 
 MEMBER = "blendshape.npz"
@@ -18,26 +19,29 @@ ARRAYS = ("part", "basis", "gains", "low", "high", "joints", "input_low", "input
 
 
 def pose_input(poses: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """(..., 9 x len(joints)) float32: the local rotation matrices of `joints`, less the identity. poses: (..., J, 3)."""
+    """(..., 9 x len(joints)) float32: local rotation matrices of `joints`, less the identity. poses: (..., J, 3)."""
     R = matrix_from_axis_angle(np.asarray(poses, np.float32)[..., joints, :]) - np.eye(3, dtype=np.float32)
     return R.reshape(*R.shape[:-3], -1).astype(np.float32)
 
 
 @PLAYER_TIERS.register("blendshape", summary="pose residuals as linear bases by body part")
 class Blendshape:
-    """blendshape.npz: part (N,), basis (N, K, 8) int8, gains (P, 8); the network's layers weight_0, bias_0, weight_1, ...
-    with ReLU between them, from `pose_input` of `joints` to the P x K coefficients; low and high (P x K), between which
-    coefficients are clamped, and input_low and input_high, between which its inputs are: the range of training, so that
-    no pose can leave what was seen."""
+    """blendshape.npz: part (N,), basis (N, K, 8) int8, gains (P, 8); the network's layers weight_0, bias_0, weight_1
+    ... with ReLU between them, from `pose_input` of `joints` to the P x K coefficients; low and high (P x K), between
+    which coefficients are clamped, and input_low and input_high, between which its inputs are: the range of
+    training, so that no pose can leave what was seen."""
 
+    members = (MEMBER, BAKED)
     moves = True
 
     def __init__(self, options: NoOptions, *, parts: Parts):
         arrays = parts.arrays(MEMBER, ARRAYS)
         self._base = packed(*baked_attributes(parts))
-        self._part = np.ascontiguousarray(arrays["part"], np.uint8)
-        self._basis = np.ascontiguousarray(arrays["basis"], np.int8)
-        self._gains, self._low, self._high = arrays["gains"], arrays["low"], arrays["high"]
+        stored = len(arrays["part"])
+        self._part = np.ascontiguousarray(parts.take(arrays["part"]), np.uint8)
+        self._basis = np.ascontiguousarray(parts.take(arrays["basis"]), np.int8)
+        self._gains = arrays["gains"] * np.array([1] * 6 + [parts.growth, 1], np.float32)
+        self._low, self._high = arrays["low"], arrays["high"]
         self._input_range = arrays["input_low"], arrays["input_high"]
         self._joints = arrays["joints"].astype(int)
         count = sum(name.startswith("weight_") for name in arrays)
@@ -46,8 +50,10 @@ class Blendshape:
         except KeyError as error:
             raise UserError(f"{parts.bundle.path}: {MEMBER} lacks the array {error}; export the avatar again") from None
         N, K = self._basis.shape[:2]
-        if len(self._part) != N or len(parts.surface) != N or self._low.shape != (len(self._gains) * K,):
-            raise UserError(f"{parts.bundle.path}: {MEMBER} does not fit {len(parts.surface)} Gaussians; export it again")
+        if len(self._part) != N or len(parts.surface) != stored or self._low.shape != (len(self._gains) * K,):
+            raise UserError(
+                f"{parts.bundle.path}: {MEMBER} does not fit {len(parts.surface)} Gaussians; export it again"
+            )
         self._out = [empty(N) for _ in range(3)]
         self._calls = 0
         self.stage_seconds: dict[str, float] = {}

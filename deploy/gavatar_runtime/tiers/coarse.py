@@ -10,6 +10,7 @@ from ..network import Network
 from ..registry import NoOptions
 from ..residuals import empty, packed, upsample
 from . import PLAYER_TIERS, Parts
+from .baked import MEMBER as BAKED
 from .baked import baked_attributes
 from .full import OUTPUTS, Encoder
 
@@ -19,9 +20,10 @@ DECODER, MEMBER = "decoder_coarse.onnx", "coarse.npz"
 @PLAYER_TIERS.register("coarse", summary="pose residuals decoded on few points and upsampled")
 class Coarse:
     """coarse.npz: index (N, K) and weight (N, K) of the M coarse points about each Gaussian, weights summing to 1;
-    base (M, 7), the coarse points' mean offset, colour and scale over the capture's poses, which the residuals are taken
-    from; ratio, of fine to coarse spacing, by which residuals of the scale shrink."""
+    base (M, 7), the coarse points' mean offset, colour and scale over the capture's poses, which the residuals are
+    taken from; ratio, of fine to coarse spacing, by which residuals of the scale shrink."""
 
+    members = ("encoder.onnx", DECODER, MEMBER, BAKED)
     moves = True
 
     def __init__(self, options: NoOptions, *, parts: Parts):
@@ -29,12 +31,12 @@ class Coarse:
         self._encoder = Encoder(parts, "encoder.onnx")
         self._decoder = Network(parts.bundle, DECODER, ("pose_features",), OUTPUTS, parts.threads)
         self._static = packed(*baked_attributes(parts))
-        self._index = np.ascontiguousarray(arrays["index"], np.int32)
-        self._weight = np.ascontiguousarray(arrays["weight"], np.float32)
+        self._index = np.ascontiguousarray(parts.take(arrays["index"]), np.int32)
+        self._weight = np.ascontiguousarray(parts.take(arrays["weight"]), np.float32)
         self._base = arrays["base"].astype(np.float32)
-        self._ratio = float(arrays["ratio"])
+        self._ratio = float(arrays["ratio"]) * parts.growth
         self._table = np.zeros((len(self._base), 8), np.float32)
-        self._out = [empty(len(parts.surface)) for _ in range(3)]
+        self._out = [empty(len(parts)) for _ in range(3)]
         self._calls = 0
         self.stage_seconds: dict[str, float] = {}
 

@@ -30,7 +30,7 @@ class Encoder:
 class Full:
     """Encoder, then decoder on every Gaussian."""
 
-    encoder, decoder = "encoder.onnx", "decoder.onnx"
+    encoder, decoder = members = "encoder.onnx", "decoder.onnx"
 
     def __init__(self, options: NoOptions, *, parts: Parts):
         self._parts = parts
@@ -46,6 +46,9 @@ class Full:
         encoded = perf_counter()
         offsets, colors, scales = self._parts.check(tuple(self._decoder(*features)), self.decoder)
         points = self._parts.surface.points + offsets
+        if self._parts.chosen is not None:
+            points, colors, scales = map(self._parts.take, (points, colors, scales))
+            scales = scales * np.float32(self._parts.growth)
         self.stage_seconds = {"encode": encoded - start, "decode": perf_counter() - encoded}
         return points, colors, scales
 
@@ -54,4 +57,4 @@ class Full:
 class Int8(Full):
     """As `full`, by the quantised members."""
 
-    encoder, decoder = "encoder_int8.onnx", "decoder_int8.onnx"
+    encoder, decoder = members = "encoder_int8.onnx", "decoder_int8.onnx"

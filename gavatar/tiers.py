@@ -1,0 +1,129 @@
+"""Building the tiers of an avatar: what every builder starts from, and how a fine surface reads a coarse one."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+import onnx
+import torch
+
+from gavatar_runtime.body import SMPL_BODY_JOINTS
+from gavatar_runtime.surface import Surface
+
+from .evaluation import pose_features
+from .graphs import attributes_at
+from .training.run import Run
+
+MEAN_POSES = 24  # over which the still look is averaged: more moved it by less than an 8-bit step
+
+
+class TierBuilder(Protocol):
+    """needs: names of tiers whose members this one also reads."""
+
+    needs: tuple[str, ...]
+
+    def build(self, source: TierSource) -> dict[str, bytes]:
+        """The tier's own members by file name."""
+
+
+@dataclasses.dataclass
+class TierSource:
+    """A trained run with dynamics, as builders see it.
+
+    surface: where the Gaussians of the bundle sit. finish: a model -> its bytes, with metadata. progress: shows bars.
+    """
+
+    run: Run
+    surface: Surface
+    finish: Callable[[onnx.ModelProto], bytes]
+    progress: bool = True
+
+    @functools.cached_property
+    def train_poses(self) -> np.ndarray:
+        """(F, J, 3) refined poses of the training frames."""
+        frames = sorted({view.frame for view in self.run.capture.views(self.run.config.train_split)})
+        return self.run.motion.motion().poses[frames].astype(np.float32)
+
+    @property
+    def mean_poses(self) -> np.ndarray:
+        """The poses that the still look is the mean of."""
+        poses = self.train_poses
+        return poses[np.unique(np.linspace(0, len(poses) - 1, MEAN_POSES).astype(int))]
+
+    def features(self, poses: np.ndarray) -> torch.Tensor:
+        """(B, C, M, M) pose features."""
+        return pose_features(self.run.avatar, self.run.built, poses)
+
+    @torch.no_grad()
+    def decode(self, pose: np.ndarray, surface: Surface) -> np.ndarray:
+        """(N, 7) float32 offset, colour and scale of one pose (J, 3) on the points of `surface`."""
+        out = attributes_at(self.run.avatar, surface, self.features(pose[None]))
+        return torch.cat([out.offsets[0], out.colors[0], out.scales[0][:, None]], -1).numpy()
+
+    def mean(self, surface: Surface) -> np.ndarray:
+        """(N, 7) mean of `decode` over `mean_poses`."""
+        total = np.zeros((len(surface), 7))
+        for pose in self.mean_poses:
+            total += self.decode(pose, surface)
+        return (total / len(self.mean_poses)).astype(np.float32)
+
+    def random_poses(self, count: int, seed: int = 0) -> np.ndarray:
+        """(count, J, 3) plausible poses beyond the capture's: each body part's joints from a training frame of their
+        own, and on half of them 0.15 rad of noise, so that parts are seen in combinations that were not filmed."""
+        rng = np.random.default_rng(seed)
+        poses = self.train_poses
+        limb = limb_of_joints(self.run.built.body.data.parents)
+        chosen = rng.integers(len(poses), size=(count, int(limb.max()) + 1))
+        mixed = poses[chosen[:, limb], np.arange(poses.shape[1])]
+        noisy = rng.random(count) < 0.5
+        mixed[noisy, :SMPL_BODY_JOINTS] += rng.normal(0, 0.15, (int(noisy.sum()), SMPL_BODY_JOINTS, 3))
+        return mixed.astype(np.float32)
+
+
+def limb_of_joints(parents: np.ndarray) -> np.ndarray:
+    """(J,) which limb each joint belongs to: 0 the trunk with head, then one limb for each child of the trunk that
+    branches off, its whole chain together."""
+    trunk = {0, 3, 6, 9, 12, 15}  # pelvis, spine, neck and head, the same in every body of the SMPL family
+    limb = np.zeros(len(parents), int)
+    for joint, parent in enumerate(parents):
+        if joint not in trunk and parent >= 0:
+            limb[joint] = limb.max() + 1 if parent in trunk else limb[parent]
+    return limb
+
+
+def part_of_points(surface: Surface) -> np.ndarray:
+    """(N,) body part of each point, 0 to P - 1 of those that occur: the joint that carries it most, small joints
+    (fingers, jaw, eyes) counted to the body joint they hang from."""
+    parents = np.asarray(surface.parents)
+    body = np.arange(len(parents))
+    for joint in range(SMPL_BODY_JOINTS, len(parents)):
+        body[joint] = body[parents[joint]]
+    strongest = np.take_along_axis(surface.joint_index, surface.joint_weight.argmax(1)[:, None], 1)[:, 0]
+    return np.unique(body[strongest], return_inverse=True)[1].astype(np.uint8)
+
+
+def upsampling(coarse: Surface, fine: Surface) -> tuple[np.ndarray, np.ndarray]:
+    """index (N, 4) int32 and weight (N, 4) float32 of coarse points for each fine one: bilinear over the atlas, without
+    texels that carry no point or one on another part of the body; there the nearest coarse point in space serves."""
+    from scipy.spatial import cKDTree
+
+    R = coarse.resolution
+    point_at = np.full(R * R, -1, np.int64)
+    point_at[coarse.texel] = np.arange(len(coarse))
+    x, y = np.clip(np.asarray(fine.uv, np.float64) * R - 0.5, 0, R - 1).T
+    column, row = np.minimum(x.astype(int), R - 2), np.minimum(y.astype(int), R - 2)
+    a, b = x - column, y - row
+    index = np.stack([point_at[row * R + column + d] for d in (0, 1, R, R + 1)], -1)
+    weight = np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b], -1)
+    near = np.linalg.norm(coarse.points[index] - fine.points[:, None], axis=-1) < 3 * coarse.spacing[index]
+    weight = np.where((index >= 0) & near, weight, 0)
+    alone = weight.sum(1) < 0.05
+    nearest = cKDTree(coarse.points).query(fine.points[alone])[1]
+    weight[alone] = (1, 0, 0, 0)
+    index[alone, 0] = nearest
+    index = np.where(weight > 0, index, index.max(1, keepdims=True))
+    return index.astype(np.int32), (weight / weight.sum(1, keepdims=True)).astype(np.float32)

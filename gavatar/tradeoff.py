@@ -1,0 +1,335 @@
+"""What each way of playing an avatar costs and gains on this machine: the ladder from full networks to a still look."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import torch
+
+from gavatar_runtime.avatar import Avatar
+from gavatar_runtime.bundle import Bundle, read_bundle
+from gavatar_runtime.camera import Camera
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.framing import frame_motion
+from gavatar_runtime.motion import Motion
+from gavatar_runtime.player import build_rasterizer, play
+from gavatar_runtime.tiers import player_tiers, stored_tiers
+
+from .capture import Capture, View
+from .image_quality import mean_psnr
+from .training.run import Run
+
+WHITE = (1.0, 1.0, 1.0)
+WARM = 5  # frames before the measured ones
+QUALITY_FRAMES = 12  # evenly spaced over the motion, on which a choice is compared with the full model
+FOOTAGE_SPLITS = ("novel_pose", "test", "val")  # the first of these that a capture has is what it is held against
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice:
+    """One way to play. uv: level of detail, None for all Gaussians. reuse: decode every so many frames. fast: the
+    rasterizer's cheaper exponential and earlier stop."""
+
+    tier: str
+    uv: int | None = None
+    reuse: int = 1
+    fast: bool = False
+
+    @property
+    def label(self) -> str:
+        parts = [self.tier]
+        if self.uv:
+            parts.append(f"uv {self.uv}")
+        if self.reuse > 1:
+            parts.append(f"reuse {self.reuse}")
+        if self.fast:
+            parts.append("fast")
+        return ", ".join(parts)
+
+    def open(self, bundle: Bundle, threads: int | None = None) -> Avatar:
+        return Avatar(bundle, tier=self.tier, uv=self.uv, reuse=self.reuse, threads=threads)
+
+    def rasterizer(self, threads: int | None = None):
+        """The native rasterizer where it is there to be used, else NumPy's, which knows no `fast`."""
+        try:
+            return build_rasterizer("native", {"fast": self.fast}, threads=threads)
+        except UserError:
+            return build_rasterizer("numpy")
+
+
+@dataclasses.dataclass
+class Row:
+    """What one choice measured. fps, median_ms, spread_ms (10th to 90th percentile): of whole frames, writing excluded.
+    stage_ms: medians by stage; with stages beside each other their sum exceeds a frame. first_frame_s: a new process
+    from its start to its first image; memory_mb: its peak resident memory over the whole motion. bundle_mb: members
+    that the tier reads. psnr_*: dB over whole frames on white. dominated: another choice is both faster and closer to
+    the full model."""
+
+    choice: Choice
+    gaussians: int
+    width: int
+    height: int
+    fps: float = float("nan")
+    median_ms: float = float("nan")
+    spread_ms: tuple[float, float] = (float("nan"), float("nan"))
+    stage_ms: dict[str, float] = dataclasses.field(default_factory=dict)
+    psnr_vs_full: float | None = None
+    worst_psnr_vs_full: float | None = None
+    perceptual_vs_full: float | None = None
+    psnr_vs_footage: float | None = None
+    worst_psnr_vs_footage: float | None = None
+    perceptual_vs_footage: float | None = None
+    memory_mb: float | None = None
+    first_frame_s: float | None = None
+    bundle_mb: float | None = None
+    frames: int = 0
+    dominated: bool = False
+
+    def as_json(self) -> dict:
+        values = dataclasses.asdict(self)
+        choice = values.pop("choice")
+        values = {"tier": choice["tier"], "label": self.choice.label, **choice, **values}
+        return {k: round(v, 4) if isinstance(v, float) else v for k, v in values.items()}
+
+
+class _Nowhere:
+    """A writer that keeps nothing: writing is excluded from what is measured."""
+
+    def choose(self, count: int) -> list[int]:
+        return list(range(count))
+
+    def add(self, image: np.ndarray) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def discard(self) -> None:
+        pass
+
+
+def default_choices(bundle: Bundle) -> list[Choice]:
+    """The ladder of a bundle: every stored tier, and on them the cheaper levels of detail, temporal reuse and the fast
+    rasterizer, where they can pay: nothing makes the networks of `full` fast, and nothing is reused by `baked`."""
+    stored = stored_tiers(bundle)
+    side = bundle.surfaces()[0].resolution
+    levels = [uv for uv in (64, 128, 256, 384) if uv < 0.9 * side]
+    choices = [Choice(tier) for tier in stored]
+    cheap = [t for t in ("blendshape", "baked") if t in stored] or stored
+    choices += [Choice(tier, uv=uv) for tier in cheap for uv in levels]
+    choices += [Choice(tier, fast=True) for tier in cheap]
+    choices += [Choice(tier, reuse=k) for tier in ("int8", "coarse") if tier in stored for k in (2, 4)]
+    return choices
+
+
+def measure_speed(
+    row: Row, bundle: Bundle, motion: Motion, camera: Camera, threads: int | None = None, budget_s: float = 12.0
+) -> None:
+    """Fill in fps and stages over the motion; slow choices see as many of its first frames as `budget_s` allows."""
+    avatar, rasterizer = row.choice.open(bundle, threads), row.choice.rasterizer(threads)
+    start = perf_counter()
+    for i in range(2):
+        rasterizer.render(avatar.gaussians(motion.poses[i % len(motion)], motion.trans[i % len(motion)]), camera, WHITE)
+    each = (perf_counter() - start) / 2
+    count = min(len(motion), max(WARM + 3, int(budget_s / max(each, 1e-4))))
+    part = dataclasses.replace(motion, poses=motion.poses[:count], trans=motion.trans[:count])
+    timings = play(avatar, part, camera, rasterizer, _Nowhere())
+    walls = 1e3 * np.array(timings.walls[WARM:])
+    row.median_ms = float(np.median(walls))
+    row.spread_ms = tuple(float(v) for v in np.percentile(walls, (10, 90)))
+    row.fps, row.frames = 1e3 / row.median_ms, len(walls)
+    row.stage_ms = {k: 1e3 * v for k, v in timings.medians().items() if k != "write"}
+
+
+def psnr(image: np.ndarray, reference: np.ndarray) -> float:
+    """dB of two images in [0, 1], at most 100 so that equal ones can be averaged."""
+    mse = float(np.mean(np.square(image.astype(np.float64) - reference)))
+    return 100.0 if mse < 1e-10 else -10 * np.log10(mse)
+
+
+def images(choice: Choice, bundle: Bundle, motion: Motion, frames: Sequence[int], cameras: Sequence[Camera]):
+    """Images of a choice at `frames` of a motion, each with its camera. Where decodes are reused, the frames before
+    are played too, as they would be."""
+    avatar, rasterizer = choice.open(bundle), choice.rasterizer()
+    result, at = [], 0
+    for frame, camera in zip(frames, cameras, strict=True):
+        if choice.reuse > 1:
+            at = max(at, frame - 2 * choice.reuse)
+            for earlier in range(at, frame):
+                avatar.gaussians(motion.poses[earlier], motion.trans[earlier])
+        at = frame + 1
+        gaussians = avatar.gaussians(motion.poses[frame], motion.trans[frame])
+        result.append(np.clip(rasterizer.render(gaussians, camera, WHITE).color, 0, 1).copy())
+    return result
+
+
+def compare(ours: Sequence[np.ndarray], theirs: Sequence[np.ndarray], perceptual=None):
+    """Mean and worst PSNR and mean perceptual distance (None without its network) of pairs of images."""
+    values = [psnr(a, b) for a, b in zip(ours, theirs, strict=True)]
+    distance = None
+    if perceptual is not None:
+        pairs = [
+            [torch.from_numpy(i).float().permute(2, 0, 1)[None] for i in p] for p in zip(ours, theirs, strict=True)
+        ]
+        distance = float(np.mean([float(perceptual(a, b)) for a, b in pairs]))
+    return mean_psnr(values), min(values), distance
+
+
+def footage(capture: Capture, limit: int = QUALITY_FRAMES) -> tuple[Motion, list[View], list[np.ndarray], str]:
+    """Held-out views of a capture on white, the motion that they are held against (true poses where the capture has
+    them) and the name of their split. Raises UserError for a capture that holds nothing out."""
+    split = next((s for s in FOOTAGE_SPLITS if capture.splits.get(s)), None)
+    if split is None:
+        raise UserError(
+            f"capture '{capture.name}' holds no frames out ({', '.join(FOOTAGE_SPLITS)}): leave --capture out"
+        )
+    views = capture.views(split)
+    views = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, limit).astype(int))]
+    targets = []
+    for view in views:
+        color, alpha = capture.load(view)
+        targets.append(color + (1 - alpha[..., None]))
+    return capture.truth or capture.motion, views, targets, split
+
+
+def measure_process(row: Row, path: Path, frames: int = 30) -> None:
+    """Fill in first-frame time and peak memory from new processes of `gavatar-play`."""
+    choice = row.choice
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "gavatar_runtime.cli.play", str(path), "--tier", choice.tier, "--quiet"]
+        command += ["--width", str(row.width), "--height", str(row.height), "--reuse", str(choice.reuse)]
+        command += ["--uv", str(choice.uv)] if choice.uv else []
+        start = perf_counter()
+        _run([*command, "--frames", "0", "--out", f"{folder}/first.png"])
+        row.first_frame_s = perf_counter() - start
+        count = min(frames, 4 if row.median_ms > 100 else frames)
+        row.memory_mb = _run([*command, "--frames", f"0:{count}", "--out", f"{folder}/frames/"]) / 1024
+
+
+def _run(command: list[str]) -> int:
+    """Peak resident memory of a command, KiB; UserError if it fails."""
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    errors = process.stderr.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise UserError(f"{' '.join(command[2:])} failed: {errors.strip().splitlines()[-1] if errors else status}")
+    return usage.ru_maxrss if sys.platform != "darwin" else usage.ru_maxrss // 1024
+
+
+def tier_bytes(bundle: Bundle, tier: str) -> int:
+    """Size of the members that a tier reads."""
+    members = ("surface.npz", "body.npz", *player_tiers()[tier].factory.members)
+    return sum(len(bundle.read(m)) for m in members if m in bundle.manifest.members)
+
+
+def mark_dominated(rows: list[Row]) -> None:
+    """Set `dominated` on each row that another beats or equals in both speed and closeness to the full model."""
+
+    def value(row: Row) -> tuple[float, float]:
+        return row.fps, row.psnr_vs_full if row.psnr_vs_full is not None else -np.inf
+
+    for row in rows:
+        mine = value(row)
+        row.dominated = any(
+            value(other)[0] >= mine[0] and value(other)[1] >= mine[1] and value(other) != mine for other in rows
+        )
+
+
+def run_ladder(
+    path: Path,
+    motion: Motion,
+    width: int,
+    height: int,
+    *,
+    capture: Capture | None = None,
+    choices: Sequence[Choice] | None = None,
+    perceptual=None,
+    processes: bool = True,
+    threads: int | None = None,
+    say=lambda text: None,
+) -> list[Row]:
+    """Measure every choice. motion: fitted to the avatar. perceptual: a function of two (1, 3, H, W) images or None."""
+    bundle = read_bundle(path)
+    choices = list(choices or default_choices(bundle))
+    reference = Choice("full")
+    avatar = reference.open(bundle)
+    camera = frame_motion(avatar, motion, width, height)
+    frames = np.unique(np.linspace(0, len(motion) - 1, QUALITY_FRAMES).astype(int)).tolist()
+    full = images(reference, bundle, motion, frames, [camera] * len(frames))
+    held = None
+    if capture is not None:
+        truth, views, targets, _ = footage(capture)
+        held = avatar.fit(truth)[0], views, targets, [capture.cameras[v.camera] for v in views]
+    del avatar
+    rows = []
+    for choice in choices:
+        opened = choice.open(bundle)
+        row = Row(choice, len(opened), width, height, bundle_mb=tier_bytes(bundle, choice.tier) / 1e6)
+        del opened
+        measure_speed(row, bundle, motion, camera, threads)
+        ours = images(choice, bundle, motion, frames, [camera] * len(frames))
+        row.psnr_vs_full, row.worst_psnr_vs_full, row.perceptual_vs_full = compare(ours, full, perceptual)
+        if held is not None:
+            truth, views, targets, cameras = held
+            ours = images(choice, bundle, truth, [v.frame for v in views], cameras)
+            row.psnr_vs_footage, row.worst_psnr_vs_footage, row.perceptual_vs_footage = compare(
+                ours, targets, perceptual
+            )
+        if processes:
+            measure_process(row, path)
+        say(f"{choice.label}: {row.fps:.1f} frames per second, {row.psnr_vs_full:.1f} dB against full")
+        rows.append(row)
+    mark_dominated(rows)
+    return rows
+
+
+def describe_tiers(path: Path, run: Run, size: int = 512, progress: bool = False) -> list[dict]:
+    """What the manifest says of each stored tier: its error against the full model on poses of the capture and on
+    mixed ones that were not filmed, and its cost on this machine."""
+    from .tiers import TierSource
+
+    bundle = read_bundle(path)
+    source = TierSource(run, run.avatar.surface, lambda model: b"", progress)
+    real = source.train_poses[np.unique(np.linspace(0, len(source.train_poses) - 1, 8).astype(int))]
+    sets = {"capture": real, "mixed": source.random_poses(8, seed=1)}
+    sets = {k: Motion(v, np.zeros((len(v), 3), np.float32), 30.0) for k, v in sets.items()}
+    avatar = Choice("full").open(bundle)
+    cameras = {k: frame_motion(avatar, m, size, size) for k, m in sets.items()}
+
+    def draw(tier: str) -> dict[str, list[np.ndarray]]:
+        return {k: images(Choice(tier), bundle, m, range(len(m)), [cameras[k]] * len(m)) for k, m in sets.items()}
+
+    full = draw("full")
+    described = []
+    for tier in stored_tiers(bundle):
+        entry: dict = {"name": tier, "members": list(player_tiers()[tier].factory.members)}
+        drawn = full if tier == "full" else draw(tier)
+        for key in sets:
+            mean, worst, _ = compare(drawn[key], full[key])
+            entry |= {f"psnr_{key}": round(mean, 2), f"worst_psnr_{key}": round(worst, 2)}
+        row = Row(Choice(tier), len(run.avatar.surface), size, size)
+        motion = sets["capture"]
+        many = dataclasses.replace(motion, poses=np.tile(motion.poses, (5, 1, 1)), trans=np.tile(motion.trans, (5, 1)))
+        measure_speed(row, bundle, many, cameras["capture"], budget_s=3.0)
+        entry |= {"frame_ms": round(row.median_ms, 2), "size": size, "cores": os.cpu_count(), "machine": machine()}
+        described.append(entry)
+    return described
+
+
+def machine() -> str:
+    """The processor's name, as far as the system tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()

@@ -1,0 +1,35 @@
+"""Builds the tier `blendshape`: residuals of the pose distilled into linear bases by body part."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from gavatar.distillation import distil
+from gavatar.registry import TIERS
+from gavatar.tiers import TierSource
+from gavatar_runtime.bundle import pack_arrays
+
+
+@dataclasses.dataclass
+class BlendshapeOptions:
+    """rank: bases of a body part. uv: side of the atlas they are computed at. samples: poses they are distilled from,
+    beside the capture's. width: of the network's two hidden layers. steps: of its training."""
+
+    rank: int = 16
+    uv: int = 160
+    samples: int = 500
+    width: int = 128
+    steps: int = 3000
+
+
+@TIERS.register("blendshape", config=BlendshapeOptions, summary="pose residuals as linear bases by body part")
+class BlendshapeBuilder:
+    """blendshape.npz, see `gavatar_runtime.tiers.blendshape`."""
+
+    needs = ("baked",)
+
+    def __init__(self, options: BlendshapeOptions):
+        self.options = options
+
+    def build(self, source: TierSource) -> dict[str, bytes]:
+        return {"blendshape.npz": pack_arrays(distil(source, **dataclasses.asdict(self.options)))}

@@ -1,0 +1,19 @@
+"""The tier `full`: its members are those without which no bundle is written."""
+
+from __future__ import annotations
+
+from gavatar.registry import TIERS, NoOptions
+from gavatar.tiers import TierSource
+
+
+@TIERS.register("full", summary="the networks as trained, float32")
+class FullBuilder:
+    """Nothing beyond the bundle's own members."""
+
+    needs = ()
+
+    def __init__(self, options: NoOptions):
+        pass
+
+    def build(self, source: TierSource) -> dict[str, bytes]:
+        return {}

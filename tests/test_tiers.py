@@ -1,0 +1,347 @@
+"""Tiers: every cheaper way to decode an avatar, against the full model; level of detail, reuse, choosing."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from tiny_capture import SMALL, write_tiny_capture
+from torch import nn
+
+from gavatar.avatar import sample_uv
+from gavatar.export import export, on_front
+from gavatar.graphs import bilinear, subpixel
+from gavatar.registry import TIERS, load_plugins
+from gavatar.tiers import limb_of_joints, part_of_points, upsampling
+from gavatar.tradeoff import Choice, Row, compare, images, mark_dominated
+from gavatar.training.run import open_run, train
+from gavatar_runtime import native_library, residuals
+from gavatar_runtime.avatar import Avatar
+from gavatar_runtime.bundle import read_bundle
+from gavatar_runtime.detail import thinned, uv_for_size
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.framing import frame_motion
+from gavatar_runtime.motion import Motion
+from gavatar_runtime.player import build_rasterizer, play
+from gavatar_runtime.selection import choose_tier
+from gavatar_runtime.tiers import player_tiers, stored_tiers
+
+load_plugins()
+CHEAP = [name for name in TIERS.names() if name != "full"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    from gavatar.config import compose_config
+
+    capture = write_tiny_capture(tmp_path_factory.mktemp("capture") / "tiny")
+    out = tmp_path_factory.mktemp("run") / "run"
+    train(compose_config([f"capture={capture}", f"out={out}", *SMALL]), out)
+    run = open_run(out)
+    # a few steps leave the encoder near its zero start: give the pose something to do
+    torch.manual_seed(0)
+    with torch.no_grad():
+        run.avatar.encoder.up[-1][1].weight.normal_(0, 0.05)
+    return run
+
+
+@pytest.fixture(scope="module")
+def bundle(run, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bundle") / "a.gavatar"
+    export(run, path, tiers=TIERS.names())
+    return read_bundle(path, verify=True)
+
+
+# the kernels
+
+
+def random_residuals(count: int, seed: int = 0):
+    rng = np.random.default_rng(seed)
+    base = rng.normal(0.4, 0.5, (count, 8)).astype(np.float32)
+    part = rng.integers(0, 5, count).astype(np.uint8)
+    basis = rng.integers(-127, 128, (count, 6, 8)).astype(np.int8)
+    coefficients = rng.normal(0, 1, (5, 6)).astype(np.float32)
+    gains = rng.uniform(0, 1e-3, (5, 8)).astype(np.float32)
+    return base, part, basis, coefficients, gains
+
+
+needs_kernel = pytest.mark.skipif(not native_library.available()[0], reason=native_library.available()[1])
+
+
+@needs_kernel
+@pytest.mark.parametrize("count", [0, 1, 8191, 20001])
+def test_compiled_residuals_are_those_of_numpy(count):
+    values = random_residuals(count)
+    got = residuals.blendshapes(*values, residuals.empty(count))
+    expected = residuals.blendshapes_reference(*values, residuals.empty(count))
+    rng = np.random.default_rng(1)
+    index = rng.integers(0, 50, (count, 4)).astype(np.int32)
+    weight, table = rng.random((count, 4), np.float32), rng.normal(0, 1, (50, 8)).astype(np.float32)
+    got += residuals.upsample(values[0], index, weight, table, residuals.empty(count))
+    expected += residuals.upsample_reference(values[0], index, weight, table, residuals.empty(count))
+    for a, b in zip(got, expected, strict=True):
+        np.testing.assert_allclose(a, b, atol=2e-6)  # sums of a few float32 numbers near 1, in another order
+
+
+@needs_kernel
+def test_residuals_refuse_a_part_or_row_that_is_not_there():
+    base, part, basis, coefficients, gains = random_residuals(10)
+    part[7] = 5
+    for function in (residuals.blendshapes, residuals.blendshapes_reference):
+        with pytest.raises(IndexError, match="part"):
+            function(base, part, basis, coefficients, gains, residuals.empty(10))
+    index = np.full((10, 2), 3, np.int32)
+    for function in (residuals.upsample, residuals.upsample_reference):
+        with pytest.raises(IndexError, match="index"):
+            function(base, index, np.ones((10, 2), np.float32), np.ones((3, 8), np.float32), residuals.empty(10))
+
+
+# exact rewrites
+
+
+def test_a_pixel_shuffle_is_the_transposed_convolution():
+    torch.manual_seed(0)
+    for size, bias in ((1, True), (2, False), (7, True)):
+        net = nn.Sequential(nn.ConvTranspose2d(3, 5, 4, 2, 1, bias=bias), nn.ReLU())
+        x = torch.randn(2, 3, size, size)
+        assert not any(isinstance(m, nn.ConvTranspose2d) for m in subpixel(net).modules())
+        assert torch.allclose(subpixel(net)(x), net(x), atol=1e-6)
+    other = nn.Sequential(nn.ConvTranspose2d(3, 5, 3, 2, 1))
+    assert isinstance(subpixel(other)[0], nn.ConvTranspose2d)  # another kernel is left as it is
+
+
+def test_four_gathered_texels_are_the_bilinear_sample():
+    rng = np.random.default_rng(0)
+    uv = np.concatenate([rng.random((50, 2)), [[0, 0], [1, 1], [0, 1], [0.5, 0.5]]]).astype(np.float32)
+    maps = torch.from_numpy(rng.normal(size=(1, 3, 16, 16)).astype(np.float32))
+    corner, weight = bilinear(uv, 16)
+    texels = maps.reshape(3, -1).T.numpy()
+    got = (texels[corner] * weight[..., None]).sum(1)
+    np.testing.assert_allclose(got, sample_uv(maps, torch.from_numpy(uv))[0].numpy(), atol=1e-5)
+
+
+# the contract of every tier
+
+
+@pytest.mark.parametrize("tier", TIERS.names())
+def test_a_tier_decodes_every_gaussian_and_stays_within_bounds_in_any_pose(bundle, run, tier):
+    avatar = Avatar(bundle, tier=tier)
+    rng = np.random.default_rng(0)
+    limit = run.avatar.decoder.config.offset_limit
+    poses = [np.zeros((52, 3)), rng.normal(0, 2, (52, 3)), np.full((52, 3), np.pi), np.full((52, 3), 1e-12)]
+    for pose in poses:
+        gaussians = avatar.gaussians(pose.astype(np.float32))
+        assert len(gaussians) == len(avatar) == bundle.manifest.gaussians
+        for array in (gaussians.means, gaussians.scales, gaussians.colors):
+            assert array.dtype == np.float32
+            assert np.isfinite(array).all()
+        assert gaussians.scales.min() >= 0
+        assert gaussians.scales.max() < 3.01 * run.avatar.surface.spacing.max() * 2
+        assert 0 <= gaussians.colors.min() <= gaussians.colors.max() <= 1
+        body = avatar.surface.posed(pose.astype(np.float32))
+        # skinning moves an offset by a blend of rotations: never longer than it was
+        assert np.linalg.norm(gaussians.means - body, axis=1).max() <= 2 * np.sqrt(3) * limit
+
+
+@pytest.mark.parametrize("tier", CHEAP)
+def test_a_cheaper_tier_looks_like_the_full_model_on_poses_of_the_capture(bundle, tier):
+    entry = next(t for t in bundle.manifest.tiers if t["name"] == tier)
+    # the still look of this hardly trained avatar: measured 40 dB and more; a mistake in any table costs 15 dB
+    assert entry["psnr_capture"] > 32
+    assert entry["frame_ms"] > 0
+    assert set(entry["members"]) <= set(bundle.manifest.members)
+
+
+@pytest.mark.parametrize("tier", ["int8", "coarse", "blendshape"])
+def test_tiers_of_the_pose_are_closer_to_the_full_model_than_the_still_look(bundle, tier):
+    entries = {t["name"]: t for t in bundle.manifest.tiers}
+    assert entries[tier]["psnr_capture"] > entries["baked"]["psnr_capture"]
+
+
+@pytest.mark.parametrize("tier", TIERS.names())
+def test_a_tier_keeps_its_last_two_results_while_it_makes_the_next(bundle, tier):
+    """The player decodes ahead while a frame is drawn."""
+    avatar = Avatar(bundle, tier=tier)
+    poses = np.random.default_rng(0).normal(0, 0.3, (3, 52, 3)).astype(np.float32)
+    first = avatar.gaussians(poses[0])
+    kept = [a.copy() for a in (first.means, first.scales, first.colors)]
+    avatar.gaussians(poses[1])
+    avatar.gaussians(poses[2])
+    for array, copy in zip((first.means, first.scales, first.colors), kept, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+def test_player_and_training_half_know_the_same_tiers():
+    assert player_tiers().names() == TIERS.names()
+
+
+def test_a_tier_that_the_bundle_lacks_or_nobody_knows_is_one_sentence(run, tmp_path, bundle):
+    export(run, tmp_path / "plain.gavatar")
+    assert stored_tiers(read_bundle(tmp_path / "plain.gavatar")) == ["full"]
+    with pytest.raises(UserError, match=r"holds no tier 'baked'.*--tiers baked"):
+        Avatar(tmp_path / "plain.gavatar", tier="baked")
+    with pytest.raises(UserError, match=r"unknown tier 'bakd'.*did you mean 'baked'"):
+        Avatar(bundle, tier="bakd")
+    with pytest.raises(UserError, match="unknown tier"):
+        export(run, tmp_path / "a.gavatar", tiers=["bakd"])
+
+
+def test_a_tier_brings_the_tiers_that_it_reads(run, tmp_path):
+    manifest = export(run, tmp_path / "a.gavatar", tiers=["coarse"])
+    assert [t["name"] for t in manifest.tiers] == ["full", "baked", "coarse"]
+
+
+# level of detail and reuse
+
+
+def test_fewer_larger_gaussians_close_the_surface(bundle):
+    pose = np.zeros((52, 3), np.float32)
+    avatar = Avatar(bundle, tier="baked")
+    motion = Motion(pose[None], np.zeros((1, 3), np.float32), 30.0)
+    camera = frame_motion(avatar, motion, 96, 96)
+    rasterizer = build_rasterizer()
+    whole = rasterizer.render(avatar.gaussians(pose), camera, (1, 1, 1)).alpha.copy()
+    uv = max(64, avatar.surface.resolution * 3 // 4)
+    thin = Avatar(bundle, tier="baked", uv=uv)
+    part = rasterizer.render(thin.gaussians(pose), camera, (1, 1, 1)).alpha
+    assert len(thin) <= len(avatar)
+    inside = whole > 0.99
+    assert (part[inside] > 0.9).mean() > 0.99
+
+
+def test_thinning_keeps_one_gaussian_a_cell_and_all_at_full_detail(bundle):
+    surface, _ = bundle.surfaces()
+    chosen, growth = thinned(surface, surface.resolution)
+    assert growth == 1
+    assert len(chosen) == len(surface)
+    finer = dataclasses.replace(surface, resolution=2 * surface.resolution, texel=_doubled(surface))
+    chosen, growth = thinned(finer, surface.resolution)
+    assert growth == 2
+    assert len(chosen) == len(surface)
+    with pytest.raises(UserError, match="detail from 64"):
+        thinned(surface, surface.resolution + 1)
+    with pytest.raises(UserError, match="detail from 64"):
+        thinned(surface, 63)
+    assert uv_for_size(surface, 1) == 64
+    assert uv_for_size(surface, 1e6) == surface.resolution
+
+
+def _doubled(surface):
+    row, column = np.divmod(surface.texel, surface.resolution)
+    return 4 * row * surface.resolution + 2 * column
+
+
+def test_reuse_fades_between_decodes_and_ends_at_each(bundle):
+    rng = np.random.default_rng(0)
+    poses = np.repeat(rng.normal(0, 0.3, (2, 1, 52, 3)), 4, 0).reshape(8, 52, 3).astype(np.float32)
+    avatar, plain = Avatar(bundle, tier="coarse", reuse=4), Avatar(bundle, tier="coarse")
+    faded = [avatar.gaussians(p).colors.copy() for p in poses]
+    first, second = (plain.gaussians(poses[i]).colors.copy() for i in (0, 4))
+    np.testing.assert_array_equal(faded[0], first)
+    np.testing.assert_allclose(faded[5], (first + second) / 2, atol=1e-6)
+    np.testing.assert_allclose(faded[7], second, atol=1e-6)
+    with pytest.raises(UserError, match="reuse=0"):
+        Avatar(bundle, reuse=0)
+
+
+def test_a_pipelined_player_writes_the_same_images(bundle):
+    class Keep:
+        def __init__(self):
+            self.images = []
+
+        def choose(self, count):
+            return list(range(count))
+
+        def add(self, image):
+            self.images.append(image.copy())
+
+        def close(self):
+            pass
+
+        discard = close
+
+    motion = Motion(
+        np.random.default_rng(0).normal(0, 0.2, (6, 52, 3)).astype(np.float32), np.zeros((6, 3), np.float32), 30.0
+    )
+    results = []
+    for pipelined in (False, True):
+        avatar, writer = Avatar(bundle, tier="blendshape"), Keep()
+        camera = frame_motion(avatar, motion, 64, 64)
+        timings = play(avatar, motion, camera, build_rasterizer(), writer, pipelined=pipelined)
+        assert len(timings) == 6
+        results.append(writer.images)
+    np.testing.assert_array_equal(*results)
+
+
+# choosing
+
+
+def arguments(**values):
+    return argparse.Namespace(**{"tier": None, "min_psnr": None, "target_fps": None, **values})
+
+
+def test_the_player_picks_a_tier_by_closeness_or_speed(bundle):
+    described = [
+        {"name": "full", "frame_ms": 400.0, "worst_psnr_capture": 100.0, "psnr_capture": 100.0},
+        {"name": "blendshape", "frame_ms": 9.0, "worst_psnr_capture": 38.0, "psnr_capture": 41.0},
+        {"name": "baked", "frame_ms": 6.0, "worst_psnr_capture": 30.0, "psnr_capture": 33.0},
+    ]
+    made = dataclasses.replace(bundle.manifest, tiers=described)
+    fake = type("Fake", (), {"manifest": made, "path": "a.gavatar"})()
+    assert choose_tier(fake, arguments()) == "full"
+    assert choose_tier(fake, arguments(tier="baked")) == "baked"
+    assert choose_tier(fake, arguments(min_psnr=35.0)) == "blendshape"
+    assert choose_tier(fake, arguments(min_psnr=99.0)) == "full"
+    assert choose_tier(fake, arguments(target_fps=30.0)) == "blendshape"
+    assert choose_tier(fake, arguments(target_fps=150.0)) == "baked"
+    with pytest.raises(UserError, match="the fastest is blendshape at 111"):
+        choose_tier(fake, arguments(target_fps=150.0, min_psnr=35.0))
+    with pytest.raises(UserError, match="one or the other"):
+        choose_tier(fake, arguments(tier="baked", min_psnr=35.0))
+    fake.manifest = dataclasses.replace(made, tiers=[])
+    with pytest.raises(UserError, match="holds no measured tiers"):
+        choose_tier(fake, arguments(min_psnr=35.0))
+
+
+def test_only_what_is_beaten_in_both_is_dominated():
+    rows = [Row(Choice(n), 1, 8, 8, fps=f, psnr_vs_full=p) for n, f, p in [("a", 1, 100), ("b", 9, 40), ("c", 8, 39)]]
+    mark_dominated(rows)
+    assert [row.dominated for row in rows] == [False, False, True]
+    tiers = [{"name": r.choice.tier, "frame_ms": 1000 / r.fps, "psnr_capture": r.psnr_vs_full} for r in rows]
+    assert [t["name"] for t in on_front(tiers)] == ["a", "b"]
+
+
+def test_images_of_a_choice_compared_with_themselves_are_equal(bundle):
+    motion = Motion(np.zeros((2, 52, 3), np.float32), np.zeros((2, 3), np.float32), 30.0)
+    camera = frame_motion(Avatar(bundle, tier="baked"), motion, 48, 48)
+    drawn = images(Choice("baked"), bundle, motion, [0, 1], [camera, camera])
+    assert compare(drawn, drawn) == (100.0, 100.0, None)
+
+
+# what builders start from
+
+
+def test_limbs_and_parts_follow_the_skeleton(run):
+    parents = run.built.body.data.parents
+    limb = limb_of_joints(parents)
+    assert limb[[0, 3, 6, 9, 12, 15]].tolist() == [0] * 6
+    assert limb[1] == limb[4] == limb[7] == limb[10] > 0
+    assert limb[20] == limb[22]  # fingers with their arm
+    assert len({limb[1], limb[2], limb[13], limb[14], 0}) == 5
+    part = part_of_points(run.avatar.surface)
+    assert part.min() == 0
+    assert part.max() < 22
+    assert len(np.unique(part)) == part.max() + 1
+
+
+def test_upsampling_reproduces_a_smooth_function_on_the_body(run):
+    coarse, fine = run.built.surface(64), run.built.surface(96)
+    index, weight = upsampling(coarse, fine)
+    np.testing.assert_allclose(weight.sum(1), 1, atol=1e-5)
+    got = np.einsum("nkc,nk->nc", coarse.points[index], weight)
+    error = np.linalg.norm(got - fine.points, axis=1)
+    assert np.median(error) < 0.25 * np.median(coarse.spacing)
+    assert error.max() < 3 * coarse.spacing.max()  # never another part of the body
