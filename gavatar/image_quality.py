@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 
+import cv2
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -75,7 +76,24 @@ class _GaussianFilter(torch.autograd.Function):
 
 
 def _filter(x: Tensor, h: int, w: int) -> Tensor:
-    """Valid separable Gaussian filter of h x w pixels."""
+    """Valid separable Gaussian filter of h x w pixels (odd), by the fastest means for the tensor at hand."""
+    differentiated = torch.is_grad_enabled() and x.requires_grad  # only in a second-order backward
+    fast = x.device.type == "cpu" and x.numel() and not differentiated
+    return _filter_stacked(x, h, w) if fast else _filter_convolved(x, h, w)
+
+
+def _filter_stacked(x: Tensor, h: int, w: int) -> Tensor:
+    """`_filter_convolved` by OpenCV, some three times faster on a CPU: all channels under one another as one image, and
+    the rows that mix two of them cut away."""
+    B, C, H, W = x.shape
+    stack = x.detach().contiguous().numpy().reshape(B * C * H, W)
+    rows, columns = (_gaussian(n, x.dtype, x.device).numpy() for n in (h, w))
+    y = cv2.sepFilter2D(stack, -1, columns, rows, borderType=cv2.BORDER_CONSTANT)
+    return torch.from_numpy(y).view(B, C, H, W)[..., h // 2 : H - h // 2, w // 2 : W - w // 2]
+
+
+def _filter_convolved(x: Tensor, h: int, w: int) -> Tensor:
+    """The reference, on any device."""
     channels = x.shape[0] * x.shape[1]
     rows, columns = _gaussian(h, x.dtype, x.device), _gaussian(w, x.dtype, x.device)
     # channels last is the layout in which a depthwise convolution is vectorised

@@ -219,3 +219,17 @@ def test_missing_lpips_weights_are_said_in_one_sentence(tmp_path, monkeypatch, l
         Lpips("alex", str(tmp_path / "broken.pth"), str(linear))
     monkeypatch.setenv("GAVATAR_LPIPS_BACKBONE", str(backbone.parent))  # a folder will do
     assert Lpips("alex", linear=str(linear)).title == "LPIPS 0.1 (AlexNet)"
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(
+    ("size", "window"), [((40, 33), (11, 11)), ((11, 11), (11, 11)), ((1, 30), (1, 11)), ((3, 2), (3, 1))]
+)
+def test_the_fast_ssim_filter_is_the_convolution(dtype, size, window):
+    from gavatar.image_quality import _filter_convolved, _filter_stacked
+
+    x = torch.rand(2, 3, *size, dtype=dtype, generator=torch.Generator().manual_seed(0))
+    fast, plain = _filter_stacked(x, *window), _filter_convolved(x, *window)
+    assert fast.shape == plain.shape
+    # sums of 121 products in another order
+    assert torch.allclose(fast, plain, rtol=0, atol=20 * torch.finfo(dtype).eps)
