@@ -29,15 +29,18 @@ def open_capture(path: str | Path, node: dict[str, Any] | None = None) -> Captur
     Raises UserError when the folder is missing, of no known layout, or malformed."""
     path = Path(path)
     name, options = split_node(node or {"name": "auto"})
-    if name != "auto":
-        return CAPTURES.build(name, options).read(path)
+    return CAPTURES.build(name if name != "auto" else capture_format(path), options).read(path)
+
+
+def capture_format(path: Path) -> str:
+    """The name of the layout that recognises a folder; UserError when it is missing or none does."""
     if not path.is_dir():
         raise UserError(f"capture {path} is not a directory")
     for component in CAPTURES:
         if component.name != "auto" and component.factory.recognises(path):
-            return CAPTURES.build(component.name).read(path)
-    known = ", ".join(c.name for c in CAPTURES if c.name != "auto")
-    raise UserError(f"{path} is not a capture: it has no capture.json (known layouts: {known})")
+            return component.name
+    known = "; ".join(f"{c.name}: {c.factory.signs}" for c in CAPTURES if c.name != "auto")
+    raise UserError(f"{path} is not a capture: none of the known layouts fits ({known})")
 
 
 def choose_device(name: str) -> torch.device:
@@ -74,10 +77,11 @@ class AvatarBuild:
 
 
 def build_avatar(
-    body_node: dict, encoder_node: dict, decoder_node: dict, avatar: AvatarConfig, betas: np.ndarray | None, seed: int
+    body_node: dict, encoder_node: dict, decoder_node: dict, avatar: AvatarConfig, capture: Capture, seed: int
 ) -> AvatarBuild:
-    """An avatar with freshly initialised parameters (a function of `seed` alone)."""
+    """An avatar of the capture's person with freshly initialised parameters (a function of `seed` alone)."""
     body = BODIES.build(*split_node(body_node))
+    betas = capture.placed(body.data).motion.betas
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         decoder = DECODERS.build(*split_node(decoder_node), in_channels=avatar.features)

@@ -22,11 +22,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from gavatar_runtime.body import BodyData
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.camera_file import read_cameras
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.motions import read_motion
+
+from .placement import Placement
 
 CAPTURE_VERSION = 1
 SPLITS = ("train", "val", "test", "novel_pose", "novel_view")
@@ -50,7 +53,10 @@ class Capture:
     path: its directory. motion: estimated body motion, one row a frame. truth: exact motion or None, never used by
     training. cameras: by name. splits: views by split name. background: 'white' when the images are the person
     composited on white, 'footage' when they show the scene.
-    image_path, mask_path: functions of a View.
+    image_path, mask_path: functions of a View. read_mask: from a mask's path to (H, W) uint8 alpha, where masks are not
+    images of alpha. moving: the cameras of views whose camera moves, over those of `cameras`. lenses: distortion
+    coefficients (OpenCV's k1, k2, p1, p2, k3) by camera: images are straightened when loaded. listing: the file that
+    names the views. placement: how the motion is brought to a body, None when it needs no bringing.
     """
 
     path: Path
@@ -65,12 +71,28 @@ class Capture:
     truth: Motion | None
     image_path: Callable[[View], Path]
     mask_path: Callable[[View], Path]
+    read_mask: Callable[[Path], np.ndarray] | None = None
+    moving: dict[View, Camera] = dataclasses.field(default_factory=dict)
+    lenses: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    listing: str = "capture.json"
+    placement: Placement | None = None
+
+    def camera(self, view: View) -> Camera:
+        """The camera of one view."""
+        return self.moving.get(view) or self.cameras[view.camera]
+
+    def placed(self, body: BodyData) -> Capture:
+        """The capture with its motion as `body` takes it: captures of others give translations that depend on the rest
+        pelvis of the body that they were made with, and shapes that mean something to that body alone."""
+        if self.placement is None:
+            return self
+        return dataclasses.replace(self, motion=self.placement.motion(body))
 
     def views(self, split: str) -> list[View]:
         """The views of a split; UserError when the capture has no such split."""
         if not self.splits.get(split):
             have = ", ".join(k for k, v in self.splits.items() if v)
-            raise UserError(f"{self.path / 'capture.json'}: no split '{split}' (it has: {have})")
+            raise UserError(f"{self.path / self.listing}: no split '{split}' (it has: {have})")
         return self.splits[split]
 
     def load(self, view: View) -> tuple[np.ndarray, np.ndarray]:
@@ -79,9 +101,8 @@ class Capture:
         Composite over any background b as `color + (1 - alpha) b`. Raises UserError for a missing or unreadable file
         and for an image or mask whose size is not the camera's.
         """
-        camera = self.cameras[view.camera]
-        image = _read(self.image_path(view), cv2.IMREAD_COLOR, camera)[..., ::-1].astype(np.float32) / 255
-        alpha = _read(self.mask_path(view), cv2.IMREAD_GRAYSCALE, camera).astype(np.float32) / 255
+        image, mask = self.read(view)
+        image, alpha = image[..., ::-1].astype(np.float32) / 255, mask.astype(np.float32) / 255
         if self.background == "white":
             return np.clip(image - (1 - alpha[..., None]), 0, 1), alpha
         return image * alpha[..., None], alpha
@@ -89,41 +110,72 @@ class Capture:
     def resized(self, scale: float) -> Capture:
         """The same capture with every image area-averaged (enlarged: interpolated) by `scale`, cameras alike."""
         cameras = {name: camera.scaled(scale) for name, camera in self.cameras.items()}
+        moving = {view: camera.scaled(scale) for view, camera in self.moving.items()}
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(Capture)}
-        return _Resized(**(fields | {"cameras": cameras}), original=self)
+        return _Resized(**(fields | {"cameras": cameras, "moving": moving}), original=self)
 
-    def check(self) -> None:
-        """Every image and mask the splits name exists, before any work starts; UserError names the first fault."""
+    def read(self, view: View) -> tuple[np.ndarray, np.ndarray]:
+        """(H, W, 3) uint8 BGR and (H, W) uint8 alpha as they lie on disk, straightened; UserError as `load` raises."""
+        camera = self.camera(view)
+        image = read_image(self.image_path(view), cv2.IMREAD_COLOR)
+        _check_size(self.image_path(view), image, camera)
+        mask_path = self.mask_path(view)
+        mask = (self.read_mask or read_gray)(mask_path)
+        _check_size(mask_path, mask, camera)
+        lens = self.lenses.get(view.camera)
+        if lens is None or not np.any(lens):
+            return image, mask
+        # OpenCV counts from pixel centres, gavatar from the image's corner
+        K = np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]])
+        return cv2.undistort(image, K, lens), cv2.undistort(mask, K, lens)
+
+    def missing(self) -> list[str]:
+        """A sentence for every image and mask that the splits name and that is not there."""
+        faults = {}
         for views in self.splits.values():
             for view in views:
                 for path in (self.image_path(view), self.mask_path(view)):
-                    if not path.is_file():
-                        raise UserError(f"{path} is missing, though {self.path / 'capture.json'} lists frame {view}")
+                    if path not in faults and not path.is_file():
+                        faults[path] = f"{path} is missing, though {self.path / self.listing} lists frame {view}"
+        return list(faults.values())
+
+    def check(self) -> None:
+        """Every image and mask the splits name exists, before any work starts; UserError names the first fault."""
+        for fault in self.missing():
+            raise UserError(fault)
 
 
 @dataclasses.dataclass
 class _Resized(Capture):
-    original: Capture
+    original: Capture | None = None
 
     def load(self, view: View) -> tuple[np.ndarray, np.ndarray]:
-        camera = self.cameras[view.camera]
+        camera = self.camera(view)
         color, alpha = self.original.load(view)
         mode = cv2.INTER_AREA if camera.width < color.shape[1] else cv2.INTER_LINEAR
         return tuple(cv2.resize(image, (camera.width, camera.height), interpolation=mode) for image in (color, alpha))
 
 
-def _read(path: Path, flag: int, camera: Camera) -> np.ndarray:
+def read_image(path: Path, flag: int) -> np.ndarray:
+    """The pixels of an image file as OpenCV reads them; UserError when it is missing or damaged."""
     if not path.is_file():
         raise UserError(f"{path} is missing")
     image = cv2.imread(str(path), flag)
     if image is None:
         raise UserError(f"{path} cannot be read as an image: it is damaged or of an unknown format")
+    return image
+
+
+def read_gray(path: Path) -> np.ndarray:
+    """(H, W) uint8."""
+    return read_image(path, cv2.IMREAD_GRAYSCALE)
+
+
+def _check_size(path: Path, image: np.ndarray, camera: Camera) -> None:
     if image.shape[:2] != (camera.height, camera.width):
         raise UserError(
-            f"{path} is {image.shape[1]}x{image.shape[0]} pixels, but its camera in cameras.json is "
-            f"{camera.width}x{camera.height}"
+            f"{path} is {image.shape[1]}x{image.shape[0]} pixels, but its camera is {camera.width}x{camera.height}"
         )
-    return image
 
 
 def _json(path: Path) -> dict:
@@ -138,7 +190,9 @@ def _json(path: Path) -> dict:
     return value
 
 
-def _splits(path: Path, entries: dict, cameras: dict[str, Camera], frames: int) -> dict[str, list[View]]:
+def _splits(
+    path: Path, entries: dict, cameras: dict[str, Camera], frames: int, faults: Faults
+) -> dict[str, list[View]]:
     splits: dict[str, list[View]] = {}
     for split, groups in entries.items():
         views = []
@@ -146,12 +200,11 @@ def _splits(path: Path, entries: dict, cameras: dict[str, Camera], frames: int) 
             for camera, numbers in groups:
                 views += [View(str(camera), int(n)) for n in numbers]
         except (TypeError, ValueError):
-            raise UserError(f"{path}: split '{split}' must be a list of [camera, [frame, ...]]") from None
-        for view in views:
-            if view.camera not in cameras:
-                raise UserError(f"{path}: split '{split}' names camera '{view.camera}', which cameras.json lacks")
-            if not 0 <= view.frame < frames:
-                raise UserError(f"{path}: split '{split}' names frame {view.frame}, but body.npz has {frames} frames")
+            faults.add(f"{path}: split '{split}' must be a list of [camera, [frame, ...]]")
+        for camera in dict.fromkeys(view.camera for view in views if view.camera not in cameras):
+            faults.add(f"{path}: split '{split}' names camera '{camera}', which cameras.json lacks")
+        for frame in dict.fromkeys(view.frame for view in views if not 0 <= view.frame < frames):
+            faults.add(f"{path}: split '{split}' names frame {frame}, but body.npz has {frames} frames")
         splits[split] = views
     if not splits.get("train"):
         raise UserError(f"{path}: split 'train' is missing or empty")
@@ -166,11 +219,37 @@ def _background(first: View, image: Path, mask: Path) -> str:
     return "white" if np.percentile(pixels[alpha == 0], 1) >= 250 else "footage"
 
 
-def read_capture(path: str | os.PathLike) -> Capture:
-    """Open a capture in gavatar's own layout. Raises UserError, naming file and field, for anything malformed."""
-    path = Path(path)
-    if not path.is_dir():
-        raise UserError(f"{path} is not a directory: give the folder of a capture (it holds capture.json)")
+class Faults:
+    """What is wrong with a capture, sentence by sentence. Alone, the first one ends the reading; a check collects."""
+
+    def __init__(self, collect: bool = False):
+        self.collect, self.sentences = collect, []
+
+    def of(self, read: Callable, *arguments, **options):
+        """What `read` returns, or None when it raises UserError and faults are collected."""
+        try:
+            return read(*arguments, **options)
+        except UserError as error:
+            if not self.collect:
+                raise
+            self.sentences.append(str(error))
+            return None
+
+    def add(self, sentence: str) -> None:
+        """One more fault; raised at once unless they are collected."""
+        self.of(_raise, sentence)
+
+    def stop(self) -> None:
+        """Raise the first fault that was collected: what follows needs what could not be read."""
+        if self.sentences:
+            raise UserError(self.sentences[0])
+
+
+def _raise(sentence: str) -> None:
+    raise UserError(sentence)
+
+
+def _capture_json(path: Path) -> dict:
     info = _json(path / "capture.json")
     version = info.get("version")
     if version != CAPTURE_VERSION:
@@ -180,12 +259,35 @@ def read_capture(path: str | os.PathLike) -> Capture:
                 "upgrade it"
             )
         raise UserError(f"{path / 'capture.json'}: version must be {CAPTURE_VERSION}, not {version!r}")
-    cameras = read_cameras(path / "cameras.json")
-    motion = read_motion(path / "body.npz", up="y")
-    truth = read_motion(path / "body_truth.npz", up="y") if (path / "body_truth.npz").exists() else None
-    if truth is not None and len(truth) != len(motion):
+    background = info.get("background")
+    if background and background not in ("white", "footage"):
+        raise UserError(f"{path / 'capture.json'}: background must be 'white' or 'footage', not {background!r}")
+    return info
+
+
+def _truth(path: Path, motion: Motion | None) -> Motion | None:
+    if not (path / "body_truth.npz").exists():
+        return None
+    truth = read_motion(path / "body_truth.npz", up="y")
+    if motion is not None and len(truth) != len(motion):
         raise UserError(f"{path / 'body_truth.npz'} has {len(truth)} frames, but body.npz has {len(motion)}")
-    splits = _splits(path / "capture.json", info.get("splits") or {}, cameras, len(motion))
+    return truth
+
+
+def read_capture(path: str | os.PathLike, faults: Faults | None = None) -> Capture:
+    """Open a capture in gavatar's own layout. Raises UserError, naming file and field, for anything malformed; with
+    `faults` every one that can be told is collected first."""
+    path, faults = Path(path), faults or Faults()
+    if not path.is_dir():
+        raise UserError(f"{path} is not a directory: give the folder of a capture (it holds capture.json)")
+    info = faults.of(_capture_json, path)
+    cameras = faults.of(read_cameras, path / "cameras.json", faults.add)
+    motion = faults.of(read_motion, path / "body.npz", up="y")
+    truth = faults.of(_truth, path, motion)
+    splits = None
+    if info is not None and cameras is not None and motion is not None:
+        splits = faults.of(_splits, path / "capture.json", info.get("splits") or {}, cameras, len(motion), faults)
+    faults.stop()
 
     def image_path(view: View) -> Path:
         stem = path / "images" / view.camera / f"{view.frame:06d}"
@@ -197,8 +299,6 @@ def read_capture(path: str | os.PathLike) -> Capture:
 
     first = splits["train"][0]
     background = info.get("background") or _background(first, image_path(first), mask_path(first))
-    if background not in ("white", "footage"):
-        raise UserError(f"{path / 'capture.json'}: background must be 'white' or 'footage', not {background!r}")
     return Capture(
         path=path,
         name=str(info.get("name", path.name)),

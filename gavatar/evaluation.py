@@ -130,7 +130,7 @@ class Evaluator:
         attributes = self._static or run.avatar.attributes(pose_features(run.avatar, run.built, poses))
         table = MotionTable(Motion(poses, motion.trans[view.frame][None], motion.fps), poses.shape[1])
         (gaussians,) = run.avatar.pose(attributes, *table.to(self.device)())
-        return self.rasterize(gaussians, run.capture.cameras[view.camera], WHITE).color
+        return self.rasterize(gaussians, run.capture.camera(view), WHITE).color
 
     @torch.no_grad()
     def score(self, split: str, poses: str, views: Sequence[View], motion: Motion) -> SplitScore:

@@ -11,7 +11,7 @@ import torch
 
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.files import atomic, write_json
-from gavatar_runtime.motion import Motion
+from gavatar_runtime.motion_file import write_motion
 
 __all__ = ["atomic", "load_tensors", "save_tensors", "write_image", "write_json", "write_motion"]
 
@@ -22,19 +22,6 @@ def write_image(path: str | os.PathLike, image: np.ndarray) -> None:
         pixels = np.round(np.clip(np.nan_to_num(image), 0, 1) * 255).astype(np.uint8)
         if not cv2.imwrite(str(temporary), pixels[..., ::-1]):
             raise UserError(f"{path} could not be written: is its suffix one of .png, .jpg?")
-
-
-def write_motion(path: str | os.PathLike, motion: Motion) -> None:
-    """Write a motion with AMASS keys, which every reader of such files takes."""
-    with atomic(path) as temporary:
-        np.savez(
-            temporary,
-            poses=motion.poses.reshape(len(motion), -1).astype(np.float32),
-            trans=motion.trans.astype(np.float32),
-            betas=np.zeros(0) if motion.betas is None else motion.betas,
-            mocap_framerate=np.float64(motion.fps),
-            gender=np.array("neutral"),
-        )
 
 
 def save_tensors(path: str | os.PathLike, state: dict[str, Any]) -> None:

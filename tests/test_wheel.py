@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-RUNTIME_COMMANDS = {"gavatar-play", "gavatar-list"}
+RUNTIME_COMMANDS = {"gavatar-play", "gavatar-motion", "gavatar-list"}
 NEEDS_TRAINING = "pip install 'gavatar[train]'"
 OFFLINE = ("NewConnectionError", "ConnectTimeout", "Temporary failure in name resolution", "from versions: none")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,12 @@ from .errors import UserError, did_you_mean
 FIELDS = ("width", "height", "fx", "fy", "cx", "cy", "world_to_camera")
 
 
-def read_cameras(path: str | os.PathLike) -> dict[str, Camera]:
+def read_cameras(path: str | os.PathLike, fault: Callable[[str], None] | None = None) -> dict[str, Camera]:
     """The cameras of a JSON file by name: {name: {width, height, fx, fy, cx, cy, world_to_camera (4 x 4)}}, or one such
     camera without a name around it, which is then called `camera`. Pixels, metres, OpenCV axes.
 
-    Raises UserError naming file, camera and field.
+    Raises UserError naming file, camera and field; with `fault` each camera's is handed to it instead, and the camera
+    left out.
     """
     path = Path(path)
     try:
@@ -34,7 +36,15 @@ def read_cameras(path: str | os.PathLike) -> dict[str, Camera]:
         values = {"camera": values}
     if not isinstance(values, dict) or not values:
         raise UserError(f"{path} holds no camera: expected an object of cameras by name")
-    return {name: _camera(path, name, entry) for name, entry in values.items()}
+    cameras = {}
+    for name, entry in values.items():
+        try:
+            cameras[name] = _camera(path, name, entry)
+        except UserError as error:
+            if fault is None:
+                raise
+            fault(str(error))
+    return cameras
 
 
 def read_camera(source: str) -> Camera:

@@ -82,6 +82,17 @@ def load_npz(path: str | os.PathLike, keys: Iterable[str] | None = None) -> dict
     return arrays
 
 
+def load_npy(path: str | os.PathLike) -> Any:
+    """What an .npy file holds: an array, or the object of an array of one, as `np.save` writes a dictionary; read as
+    `load_pickle` does. Raises UserError naming the file."""
+    try:
+        return _npy(Path(path).read_bytes(), str(path))
+    except OSError as error:
+        raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
+    except (ValueError, EOFError, MemoryError) as error:
+        raise UserError(f"{path} is damaged or not an .npy file ({str(error).splitlines()[0]})") from None
+
+
 def _npy(data: bytes, source: str) -> Any:
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)

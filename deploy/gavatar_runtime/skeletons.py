@@ -29,6 +29,17 @@ SMPLX = (*BODY, *FACE_JOINTS, *FINGERS)
 _BY_COUNT = {len(names): names for names in (BODY, SMPL, SMPLH, SMPLX)}
 
 
+SKELETONS = {"body": BODY, "smpl": SMPL, "smplh": SMPLH, "smplx": SMPLX}
+
+
+def skeleton_of(count: int) -> tuple[str, tuple[str, ...]]:
+    """The name of the skeleton of so many joints and the joints' names; `unknown` and numbers when it is none."""
+    for name, names in SKELETONS.items():
+        if len(names) == count:
+            return name, names
+    return "unknown", tuple(f"joint {j}" for j in range(count))
+
+
 def fit_motion(
     motion: Motion, joint_names: tuple[str, ...], rest_pose: np.ndarray | None = None
 ) -> tuple[Motion, tuple[str, ...]]:

@@ -27,6 +27,8 @@ examples
   gavatar-prepare footage/anna -o captures/anna --license "my own"
   gavatar-prepare lab -o captures/lab --size 960 --frames 0:100:2 --holdout-camera cam04
 
+  gavatar-prepare --check captures/anna
+
 Look at CAPTURE/preview.png and preview.mp4 before training: the body's left half is blue, its right half orange, the
 mask's outline green.
 """
@@ -37,7 +39,9 @@ def parser() -> argparse.ArgumentParser:
         "gavatar-prepare", description=DESCRIPTION, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("source", metavar="SOURCE", type=Path, help="folder of footage, or a video")
-    parser.add_argument("-o", "--out", metavar="CAPTURE", type=Path, required=True, help="folder to write")
+    parser.add_argument("-o", "--out", metavar="CAPTURE", type=Path, help="folder to write")
+    parser.add_argument("--check", action="store_true", help="SOURCE is a capture, of any layout that gavatar reads: "
+                        "name everything that is wrong with it and write nothing")  # fmt: skip
     parser.add_argument("--landmarks", metavar="FILE", type=Path, help="landmarks .npz (several cameras: their folder)")
     parser.add_argument("--masks", metavar="DIR", type=Path, help="folder of masks (default: SOURCE/masks)")
     parser.add_argument(
@@ -90,11 +94,29 @@ def _check(arguments: argparse.Namespace) -> None:
             )
 
 
+def check(path: Path) -> int:
+    """Print what a capture holds and what is wrong with it; 2 when anything is."""
+    from ..capture_check import check_capture
+    from ..registry import load_plugins
+
+    load_plugins()
+    found = check_capture(path)
+    print(found.summary())
+    for fault in found.faults:
+        print(f"fault: {fault}")
+    print(f"{len(found.faults)} faults" if found.faults else "nothing is wrong with it")
+    return 2 if found.faults else 0
+
+
 @exit_cleanly
 @requires_extra("train")
 def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
+    if arguments.check:
+        return check(arguments.source)
+    if arguments.out is None:
+        raise UserError("give the folder to write by -o CAPTURE, or --check to look at a capture")
     _check(arguments)
     frames = _slice(arguments.frames)
     if arguments.out.exists() and not arguments.overwrite:

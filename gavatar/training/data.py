@@ -52,7 +52,7 @@ def footage(
     """
     sized = []
     for view, (color, alpha) in zip(views, full, strict=True):
-        camera = capture.cameras[view.camera].scaled(scale)
+        camera = capture.camera(view).scaled(scale)
         size = (camera.width, camera.height)
         if size != (color.shape[1], color.shape[0]):
             mode = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR

@@ -86,7 +86,8 @@ def open_run(directory: str | Path, stage: int | None = None, capture: str | Pat
         raise UserError(f"{directory} has no stage {number}; finished: {', '.join(map(str, finished))}")
     state = load_tensors(directory / STAGE_FILES[number])
     opened = open_capture(config.capture, config.capture_format)
-    built = build_avatar(config.body, config.encoder, config.decoder, config.avatar, opened.motion.betas, config.seed)
+    built = build_avatar(config.body, config.encoder, config.decoder, config.avatar, opened, config.seed)
+    opened = opened.placed(built.body.data)
     motion = MotionTable(opened.motion, built.body.data.num_joints, config.motion.joints)
     try:
         built.avatar.load_state_dict(state["avatar"])

@@ -52,9 +52,10 @@ class Trainer:
         self.rasterize = build_rasterizer(config.rasterizer)
         self.losses = LossComposer(config.losses)
         self.built: AvatarBuild = build_avatar(
-            config.body, config.encoder, config.decoder, config.avatar, self.capture.motion.betas, config.seed
+            config.body, config.encoder, config.decoder, config.avatar, self.capture, config.seed
         )
         self.avatar = self.built.avatar.to(self.device)
+        self.capture = self.capture.placed(self.built.body.data)
         self.motion = MotionTable(
             self.capture.motion, self.built.body.data.num_joints, config.motion.joints
         ).to(self.device)  # fmt: skip

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gavatar.build import open_capture
-from gavatar.capture import Capture
+from gavatar.build import capture_format
+from gavatar.capture import Capture, Faults
 from gavatar.registry import CAPTURES, NoOptions
 
 
 @CAPTURES.register("auto", summary="the first registered layout that recognises the folder")
 class AutoCapture:
     """Asks every other reader."""
+
+    signs = ""
 
     def __init__(self, config: NoOptions):
         self.config = config
@@ -21,6 +23,6 @@ class AutoCapture:
         """Never itself a match."""
         return False
 
-    def read(self, path: Path) -> Capture:
+    def read(self, path: Path, faults: Faults | None = None) -> Capture:
         """Open the capture; UserError when no layout fits."""
-        return open_capture(path)
+        return CAPTURES.build(capture_format(path)).read(path, faults)

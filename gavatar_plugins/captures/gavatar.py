@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gavatar.capture import Capture, read_capture
+from gavatar.capture import Capture, Faults, read_capture
 from gavatar.registry import CAPTURES, NoOptions
 
 
 @CAPTURES.register("gavatar", summary="gavatar's own layout: capture.json, cameras.json, images/, masks/, body.npz")
 class GavatarCapture:
     """Reads and recognises gavatar's own layout."""
+
+    signs = "capture.json"
 
     def __init__(self, config: NoOptions):
         self.config = config
@@ -20,6 +22,6 @@ class GavatarCapture:
         """Whether the folder looks like this layout."""
         return (path / "capture.json").is_file()
 
-    def read(self, path: Path) -> Capture:
-        """Open the capture; UserError when malformed."""
-        return read_capture(path)
+    def read(self, path: Path, faults: Faults | None = None) -> Capture:
+        """Open the capture; UserError when malformed, after all faults were collected if `faults` does."""
+        return read_capture(path, faults)

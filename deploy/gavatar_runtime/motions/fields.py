@@ -31,7 +31,7 @@ def _flat(keys: tuple) -> tuple[str, ...]:
 
 KEYS = (
     *WHOLE_KEYS, *ROOT_KEYS, *BODY_KEYS, *JAW_KEYS, *_flat(EYE_KEYS), *_flat(HAND_KEYS), *TRANS_KEYS, *BETAS_KEYS,
-    *FRAME_RATE_KEYS,
+    *FRAME_RATE_KEYS, "leg_length",
 )  # fmt: skip
 
 # rows: the axes of a y-up world in the file's world
@@ -49,7 +49,8 @@ class SmplFields:
     poses (or fullpose, thetas, smpl_poses, pose) (T, 3J) or (T, J, 3) axis-angle; or root_orient and pose_body with
     pose_hand, pose_jaw, pose_eye (AMASS), or global_orient and body_pose with jaw_pose, leye_pose, ..., (smplx; a
     body_pose of 72 or 165 numbers without global_orient is a whole pose, as in upstream's files); trans (or transl),
-    zero if absent; betas (or beta); mocap_framerate (or mocap_frame_rate, fps).
+    zero if absent; betas (or beta); mocap_framerate (or mocap_frame_rate, fps); leg_length,
+    optional, as `Motion` has it.
     """
 
     def __init__(self, path: Path, arrays: Mapping[str, Any]):
@@ -63,7 +64,7 @@ class SmplFields:
         """
         poses = self._poses()
         trans = self._trans(len(poses)) * np.float32(trans_scale)
-        motion = Motion(poses, trans, self._fps(fps, default_fps), self._betas(), self.path.stem)
+        motion = Motion(poses, trans, self._fps(fps, default_fps), self._betas(), self.path.stem, self._leg_length())
         return y_up(motion, up)
 
     def _poses(self) -> np.ndarray:
@@ -170,6 +171,14 @@ class SmplFields:
         betas = self._numbers(key)
         betas = betas.reshape(len(betas), -1)[:1] if betas.ndim == 2 else betas  # one shape a frame: the first
         return self._finite("betas", betas.reshape(1, -1))[0]
+
+    def _leg_length(self) -> float | None:
+        if "leg_length" not in self.arrays:
+            return None
+        value = self._numbers("leg_length")
+        if value.size != 1 or not 0 < float(value.reshape(-1)[0]) < np.inf:
+            raise UserError(f"{self.path}: leg_length must be one positive number of metres")
+        return float(value.reshape(-1)[0])
 
     def _key(self, keys: tuple[str, ...]) -> str | None:
         return next((key for key in keys if key in self.arrays), None)

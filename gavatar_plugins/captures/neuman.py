@@ -1,0 +1,218 @@
+"""NeuMan captures (Jiang et al. 2022) as published: a moving camera, COLMAP, poses aligned to its scene."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gavatar.capture import Capture, Faults, View, read_image
+from gavatar.foreign import camera, matrix
+from gavatar.placement import Placement, levelled
+from gavatar.registry import CAPTURES
+from gavatar_runtime.camera import Camera
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.joblib_file import load_joblib
+from gavatar_runtime.motion import Motion
+from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
+from gavatar_runtime.safe_pickle import load_npy
+
+CAM = "cam0"
+MODELS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "OPENCV": 8}  # COLMAP's, by number of parameters
+SPLITS = ("train", "val", "test")
+
+
+@dataclasses.dataclass
+class NeuManOptions:
+    """poses: `optimized`, `romp` (smpl_output_*.pkl) or `auto`, the first of them that is there. fps: of the video."""
+
+    poses: str = "auto"
+    fps: float = 30.0
+
+
+@CAPTURES.register(
+    "neuman", config=NeuManOptions, summary="NeuMan as published: sparse/, alignments.npy, smpl_output_*.pkl"
+)
+class NeuManCapture:
+    """sparse/cameras.txt and images.txt: COLMAP's, positions count from the image's corner; lens distortion is left
+    out, as NeuMan does. images/, segmentations/NAME (255 on what is not the person). smpl_output_optimized.pkl or
+    smpl_output_romp.pkl: {1: pose (T, 72), betas (T, 10)}, rows by the number in the image's name. alignments.npy:
+    {image name: (4, 3)}, a row [x, 1] of the posed model times which is its place in COLMAP's scene, with a scale; the
+    scene of each frame is shrunk to metres here, which no image shows. Splits: train|val|test_split.txt, else the
+    authors' rule (every fifth image to test, then val)."""
+
+    signs = "alignments.npy and sparse/"
+
+    def __init__(self, config: NeuManOptions):
+        if config.poses not in ("auto", "optimized", "romp"):
+            raise UserError(f"capture_format.poses={config.poses}: choose from auto, optimized, romp")
+        self.config = config
+
+    @staticmethod
+    def recognises(path: Path) -> bool:
+        """Whether the folder looks like this layout."""
+        return (path / "alignments.npy").is_file() and (path / "sparse").is_dir()
+
+    def read(self, path: Path, faults: Faults | None = None) -> Capture:
+        """Open the capture; UserError when malformed, after all faults were collected if `faults` does."""
+        path, faults = Path(path), faults or Faults()
+        colmap = faults.of(_colmap, path / "sparse")
+        alignments = faults.of(_alignments, path / "alignments.npy", sorted(colmap) if colmap else [])
+        poses = faults.of(self._poses, path, sorted(colmap) if colmap else [])
+        splits = faults.of(_splits, path, sorted(colmap)) if colmap else None
+        faults.stop()
+        names = sorted(colmap)
+        placement, scale = _placement(poses, alignments, self.config.fps)
+        moving = {}
+        for f, name in enumerate(names):
+            T = colmap[name].T_camera_world.copy()
+            T[:3, 3] /= scale[f]
+            moving[View(CAM, f)] = placement.camera(dataclasses.replace(colmap[name], T_camera_world=T))
+        return Capture(
+            path=path,
+            name=path.resolve().name,
+            license="unknown",
+            source="NeuMan",
+            body_model="smpl",
+            background="footage",
+            cameras={CAM: moving[View(CAM, 0)]},
+            splits=splits,
+            motion=placement.motion(),
+            truth=None,
+            image_path=lambda view: path / "images" / names[view.frame],
+            mask_path=lambda view: path / "segmentations" / names[view.frame],
+            read_mask=_mask,
+            moving=moving,
+            listing="sparse/images.txt",
+            placement=placement,
+        )
+
+    def _poses(self, path: Path, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
+        """(T, 72) and (10,) of the images in the order of their names."""
+        kinds = ("optimized", "romp") if self.config.poses == "auto" else (self.config.poses,)
+        files = [path / f"smpl_output_{kind}.pkl" for kind in kinds]
+        file = next((f for f in files if f.is_file()), None)
+        if file is None:
+            raise UserError(f"{files[-1]} is missing")
+        content = load_joblib(file)
+        person = next(iter(content.values())) if isinstance(content, dict) and len(content) == 1 else None
+        if not isinstance(person, dict):
+            raise UserError(f"{file} must hold one person: a dictionary of pose and betas")
+        for field in ("pose", "betas"):
+            if field not in person:
+                raise UserError(f"{file}: field '{field}' is missing")
+        pose, betas = np.asarray(person["pose"]), np.asarray(person["betas"])
+        if pose.ndim != 2 or pose.shape[1] != 72:
+            raise UserError(f"{file}: pose has shape {pose.shape}, expected (T, 72)")
+        rows = []
+        for name in names:
+            number = Path(name).stem
+            if not number.isdigit() or int(number) >= len(pose):
+                raise UserError(f"{file} has poses of {len(pose)} frames, but there is an image '{name}'")
+            rows.append(int(number))
+        betas = matrix(file, "betas", betas, (len(pose), betas.shape[-1])).mean(0)
+        return matrix(file, "pose", pose, pose.shape)[rows], betas
+
+
+def _placement(poses, alignments: np.ndarray, fps: float) -> tuple[Placement, np.ndarray]:
+    """The placement in a world in metres, and each frame's scale (T,) from metres to COLMAP's scene."""
+    pose, betas = poses
+    linear = np.swapaxes(alignments[:, :3], 1, 2)
+    scale = np.cbrt(np.linalg.det(linear))
+    pivots = linear / scale[:, None, None]
+    joints = pose.reshape(len(pose), -1, 3).copy()
+    joints[:, 0] = axis_angle_from_matrix(pivots @ matrix_from_axis_angle(joints[:, 0]))
+    motion = Motion(joints, alignments[:, 3] / scale[:, None], fps, betas.astype(np.float32), "neuman")
+    return Placement(motion, "smpl", levelled(joints), pivots), scale
+
+
+def _alignments(path: Path, names: list[str]) -> np.ndarray:
+    """(T, 4, 3)."""
+    content = load_npy(path)
+    if not isinstance(content, dict):
+        raise UserError(f"{path} must hold a dictionary {{image name: (4, 3)}}")
+    rows = []
+    for name in names:
+        if name not in content:
+            raise UserError(f"{path} has no alignment of image '{name}'")
+        rows.append(matrix(path, name, content[name], (4, 3)))
+        linear = rows[-1][:3]
+        scale = np.cbrt(max(np.linalg.det(linear), 0))
+        if not scale > 0 or np.abs(linear @ linear.T / scale**2 - np.eye(3)).max() > 1e-2:
+            raise UserError(f"{path}: {name} is no turn with one positive scale")
+    return np.stack(rows) if rows else np.zeros((0, 4, 3))
+
+
+def _colmap(folder: Path) -> dict[str, Camera]:
+    """The camera of every image, by the image's name, from COLMAP's text files."""
+    lenses: dict[str, tuple[tuple[int, int], np.ndarray]] = {}
+    path = folder / "cameras.txt"
+    for number, words in _lines(path):
+        model = words[1] if len(words) > 1 else ""
+        if model not in MODELS or len(words) < 4 + MODELS[model]:
+            raise UserError(f"{path}, line {number}: expected ID MODEL WIDTH HEIGHT PARAMETERS of {', '.join(MODELS)}")
+        values = _floats(path, number, words[2:])
+        fx, fy, cx, cy = values[2], *(values[3:6] if model in ("PINHOLE", "OPENCV") else values[[2, 3, 4]])
+        lenses[words[0]] = (int(values[0]), int(values[1])), np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    path, cameras = folder / "images.txt", {}
+    for number, words in _lines(path):
+        if len(words) != 10 or not words[9].lower().endswith((".png", ".jpg", ".jpeg")):
+            continue  # the points of the image before
+        values = _floats(path, number, words[1:8])
+        if words[8] not in lenses:
+            raise UserError(f"{path}, line {number}: camera {words[8]} is not in cameras.txt")
+        if Path(words[9]).name != words[9]:
+            raise UserError(f"{path}, line {number}: image name '{words[9]}' is not a plain name")
+        size, K = lenses[words[8]]
+        T = np.c_[matrix_from_quaternion(values[:4]), values[4:]]
+        cameras[words[9]] = camera(path, K, T, size, shift=0.0, names=("cameras.txt", words[9]))
+    if not cameras:
+        raise UserError(f"{path} lists no image")
+    return cameras
+
+
+def _lines(path: Path):
+    """Number and words of each line that is not a comment."""
+    if not path.is_file():
+        raise UserError(f"{path} is missing: COLMAP's text model")
+    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+        if line.strip() and not line.startswith("#"):
+            yield number, line.split()
+
+
+def _floats(path: Path, number: int, words: list[str]) -> np.ndarray:
+    try:
+        return np.array([float(w) for w in words])
+    except ValueError:
+        raise UserError(f"{path}, line {number}: a number is malformed") from None
+
+
+def _splits(path: Path, names: list[str]) -> dict[str, list[View]]:
+    frame = {name: f for f, name in enumerate(names)}
+    splits = {}
+    for split in SPLITS:
+        file = path / f"{split}_split.txt"
+        if file.is_file():
+            listed = [line.strip() for line in file.read_text(encoding="utf-8").splitlines() if line.strip()]
+            unknown = [name for name in listed if name not in frame]
+            if unknown:
+                raise UserError(f"{file} names image '{unknown[0]}', which sparse/images.txt lacks")
+            splits[split] = [View(CAM, frame[name]) for name in listed]
+    if splits.get("train"):
+        return splits
+    count = len(names) // 5
+    if count < 2:
+        return {"train": [View(CAM, f) for f in range(len(names))]}
+    step = int(len(names) / count)
+    held = list(range(len(names)))[step // 2 :: step]
+    parts = {"train": [f for f in range(len(names)) if f not in held], "test": held[: len(held) // 2]}
+    parts["val"] = held[len(held) // 2 :]
+    return {split: [View(CAM, f) for f in frames] for split, frames in parts.items()}
+
+
+def _mask(path: Path) -> np.ndarray:
+    """(H, W) uint8 alpha: the file is 255 where the person is not."""
+    labels = read_image(path, cv2.IMREAD_GRAYSCALE)
+    return np.where(labels == 255, 0, 255).astype(np.uint8)

@@ -1,0 +1,233 @@
+"""ZJU-MoCap captures (Peng et al. 2021), and others that were brought into Neural Body's layout."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from gavatar.capture import Capture, Faults, View, read_image
+from gavatar.foreign import camera, image_size, matrix
+from gavatar.placement import Placement, upright
+from gavatar.registry import CAPTURES
+from gavatar_runtime.camera import Camera
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.motion import Motion
+from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from gavatar_runtime.safe_pickle import load_npy
+
+TRAINING_CAMERAS = (0, 6, 12, 18)
+# Neural Body's configs/zju_mocap_exp: first training frame and their number; 300 from the first elsewhere
+PUBLISHED = {"CoreView_313": (0, 60), "CoreView_315": (0, 400), "CoreView_390": (700, 300)}
+
+
+@dataclasses.dataclass
+class ZjuOptions:
+    """cameras: numbers of the training cameras, e.g. 0,6,12,18 (the published ones, default); the others' images of the
+    training frames are the split novel_view. first, frames, step: the training frames; -1 for the sequence's published
+    ones. novel_poses: how many of the frames that follow are the split novel_pose. params: folder of the SMPL
+    parameters, by default new_params or params. fps: the files do not say."""
+
+    cameras: str = ""
+    first: int = -1
+    frames: int = -1
+    step: int = 1
+    novel_poses: int = 100
+    params: str = ""
+    fps: float = 50.0
+
+
+@CAPTURES.register("zju", config=ZjuOptions, summary="ZJU-MoCap: annots.npy, several cameras, params/, mask_cihp/")
+class ZjuCapture:
+    """annots.npy: cams K (3x3), D (5, OpenCV), R (3x3), T (3, millimetres; world to camera) and ims, a list of
+    {ims: [path, ...]} with a path for each camera; pixel positions count from pixel centres. mask_cihp/PATH.png or
+    mask/PATH.png: not zero on the person. params/FRAME.npy: poses (72), shapes (10), Rh and Th (3), the model posed and
+    then turned by Rh about its origin and moved by Th."""
+
+    signs = "annots.npy"
+
+    def __init__(self, config: ZjuOptions):
+        self.config = config
+
+    @staticmethod
+    def recognises(path: Path) -> bool:
+        """Whether the folder looks like this layout."""
+        return (path / "annots.npy").is_file()
+
+    def read(self, path: Path, faults: Faults | None = None) -> Capture:
+        """Open the capture; UserError when malformed, after all faults were collected if `faults` does."""
+        path, faults = Path(path), faults or Faults()
+        annots = path / "annots.npy"
+        content = faults.of(_annots, annots)
+        faults.stop()
+        frames = faults.of(_frames, annots, content, len(content["cams"]["K"]))
+        faults.stop()
+        size = faults.of(image_size, path / frames[0][0])
+        cameras = faults.of(_cameras, annots, content["cams"], size) if size else None
+        chosen = faults.of(self._chosen, path, frames)
+        placed = faults.of(self._motion, path, frames, chosen) if chosen else None
+        faults.stop()
+        placement, rows = placed
+        splits = self._splits(annots, chosen, len(content["cams"]["K"]), rows)
+
+        def image_path(view: View) -> Path:
+            return path / frames[chosen[2][view.frame]][int(view.camera)]
+
+        def mask_path(view: View) -> Path:
+            relative = Path(frames[chosen[2][view.frame]][int(view.camera)]).with_suffix(".png")
+            return next(
+                (p for m in ("mask_cihp", "mask") if (p := path / m / relative).is_file()),
+                path / "mask_cihp" / relative,
+            )
+
+        return Capture(
+            path=path,
+            name=path.resolve().name,
+            license="unknown",
+            source="ZJU-MoCap",
+            body_model="smpl",
+            background="footage",
+            cameras={name: placement.camera(c) for name, c in cameras.items()},
+            splits=splits,
+            motion=placement.motion(),
+            truth=None,
+            image_path=image_path,
+            mask_path=mask_path,
+            read_mask=_mask,
+            lenses={str(i): _lens(annots, content["cams"], i) for i in range(len(cameras))},
+            listing="annots.npy",
+            placement=placement,
+        )
+
+    def _chosen(self, path: Path, frames: list) -> tuple[int, int, list[int]]:
+        """Numbers of training and novel-pose frames, and which of the sequence's frames they are, in this order."""
+        first, count = PUBLISHED.get(path.resolve().name, (0, 300))
+        first = self.config.first if self.config.first >= 0 else first
+        count = self.config.frames if self.config.frames >= 0 else count
+        if self.config.step < 1:
+            raise UserError(f"capture_format.step={self.config.step}: give a whole number from 1 up")
+        train = list(range(first, min(first + count * self.config.step, len(frames)), self.config.step))
+        if not train:
+            raise UserError(
+                f"{path / 'annots.npy'} lists {len(frames)} frames: none from {first} on; give capture_format.first"
+            )
+        after = list(range(train[-1] + 1, len(frames), self.config.step))[: max(0, self.config.novel_poses)]
+        return len(train), len(after), train + after
+
+    def _motion(self, path: Path, frames: list, chosen: tuple[int, int, list[int]]) -> tuple[Placement, int]:
+        """The placement, and how many of the chosen frames have parameters: those after the last are left out."""
+        folder = self._params(path)
+        files = [folder / f"{_number(frames[f][0], path.resolve().name)}.npy" for f in chosen[2]]
+        there = next((i for i, file in enumerate(files) if not file.is_file()), len(files))
+        if there < chosen[0]:
+            raise UserError(f"{files[there]} is missing, though annots.npy lists {frames[chosen[2][there]][0]}")
+        rows = [_parameters(file) for file in files[:there]]
+        poses, Rh, Th, shapes = (np.stack([row[i] for row in rows]) for i in range(4))
+        pivots = matrix_from_axis_angle(Rh)
+        poses = poses.reshape(there, -1, 3)
+        poses[:, 0] = axis_angle_from_matrix(pivots @ matrix_from_axis_angle(poses[:, 0]))
+        motion = Motion(poses, Th, self.config.fps, shapes.mean(0).astype(np.float32), path.resolve().name)
+        return Placement(motion, "smpl", upright(poses), pivots), there
+
+    def _params(self, path: Path) -> Path:
+        names = (self.config.params,) if self.config.params else ("new_params", "params")
+        found = next((path / name for name in names if (path / name).is_dir()), None)
+        if found is None:
+            raise UserError(f"{path / names[-1]} is missing: the folder of SMPL parameters, FRAME.npy")
+        return found
+
+    def _splits(self, annots: Path, chosen: tuple, cameras: int, rows: int) -> dict[str, list[View]]:
+        train, after, _ = chosen
+        after = min(after, rows - train)
+        try:
+            asked = [int(c) for c in self.config.cameras.split(",")] if self.config.cameras else TRAINING_CAMERAS
+        except ValueError:
+            raise UserError(f"capture_format.cameras={self.config.cameras}: give numbers, as in 0,6,12,18") from None
+        unknown = [c for c in asked if not 0 <= c < cameras]
+        if self.config.cameras and unknown:
+            raise UserError(f"{annots} has cameras 0 to {cameras - 1}, not {unknown[0]}: set capture_format.cameras")
+        used = [c for c in asked if 0 <= c < cameras] or [0]
+        others = [c for c in range(cameras) if c not in used]
+        splits = {
+            "train": [View(str(c), f) for f in range(train) for c in used],
+            "novel_view": [View(str(c), f) for f in range(train) for c in others],
+            "novel_pose": [View(str(c), f) for f in range(train, train + after) for c in others or used],
+        }
+        return {split: views for split, views in splits.items() if views}
+
+
+def _annots(path: Path) -> dict:
+    content = load_npy(path)
+    if not isinstance(content, dict) or not isinstance(content.get("cams"), dict):
+        raise UserError(f"{path}: field 'cams' is missing: expected a dictionary of cams and ims")
+    for field in ("K", "D", "R", "T"):
+        if field not in content["cams"]:
+            raise UserError(f"{path}: cams: field '{field}' is missing")
+        if len(content["cams"][field]) != len(content["cams"]["K"]) or not len(content["cams"]["K"]):
+            raise UserError(f"{path}: cams: {field} holds {len(content['cams'][field])} cameras, K "
+                            f"{len(content['cams']['K'])}")  # fmt: skip
+    return content
+
+
+def _frames(path: Path, content: dict, cameras: int) -> list[list[str]]:
+    """Image paths by frame and camera."""
+    entries = content.get("ims")
+    if entries is None or not len(entries):
+        raise UserError(f"{path}: field 'ims' is missing or empty")
+    frames = []
+    for i, entry in enumerate(entries):
+        names = entry.get("ims") if isinstance(entry, dict) else None
+        if names is None or len(names) != cameras:
+            raise UserError(f"{path}: ims: frame {i} must list {cameras} images, one a camera")
+        frames.append([str(name) for name in names])
+        for name in frames[-1]:
+            if Path(name).is_absolute() or ".." in Path(name).parts:
+                raise UserError(f"{path}: ims: frame {i} names '{name}', which lies outside of the capture")
+    return frames
+
+
+def _cameras(path: Path, cams: dict[str, Any], size: tuple[int, int]) -> dict[str, Camera]:
+    out = {}
+    for i in range(len(cams["K"])):
+        R = matrix(path, f"cams: R of camera {i}", cams["R"][i], (3, 3))
+        T = matrix(path, f"cams: T of camera {i}", np.reshape(cams["T"][i], -1), (3,)) / 1000
+        names = (f"cams: K of camera {i}", f"cams: R of camera {i}")
+        out[str(i)] = camera(path, cams["K"][i], np.c_[R, T], size, shift=0.5, names=names)
+        _lens(path, cams, i)
+    return out
+
+
+def _lens(path: Path, cams: dict[str, Any], i: int) -> np.ndarray:
+    return matrix(path, f"cams: D of camera {i}", np.reshape(cams["D"][i], -1), (4,), (5,), (8,))
+
+
+def _number(image: str, sequence: str) -> int:
+    """The frame number in an image's name: that of its parameter file."""
+    stem = Path(image).stem
+    part = stem.split("_")[4] if sequence in ("CoreView_313", "CoreView_315") and stem.count("_") > 4 else stem
+    try:
+        return int(part)
+    except ValueError:
+        raise UserError(f"annots.npy names image '{image}', whose name is no frame number") from None
+
+
+def _parameters(path: Path) -> tuple[np.ndarray, ...]:
+    content = load_npy(path)
+    if not isinstance(content, dict):
+        raise UserError(f"{path} holds no dictionary of poses, shapes, Rh and Th")
+    values = []
+    for field, shape in (("poses", (72,)), ("Rh", (3,)), ("Th", (3,)), ("shapes", (10,))):
+        if field not in content:
+            raise UserError(f"{path}: field '{field}' is missing")
+        values.append(matrix(path, field, np.reshape(content[field], -1), shape))
+    return tuple(values)
+
+
+def _mask(path: Path) -> np.ndarray:
+    """(H, W) uint8 alpha: every label of the parsing is the person."""
+    labels = read_image(path, cv2.IMREAD_UNCHANGED)
+    labels = labels if labels.ndim == 2 else labels[..., :3].max(-1)
+    return np.where(labels > 0, 255, 0).astype(np.uint8)
