@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from gavatar.tiers import limb_of_joints, part_of_points, upsampling
 from gavatar.tradeoff import Choice, Row, compare, images, mark_dominated
 from gavatar.training.run import open_run, train
 from gavatar_runtime import native_library, residuals
+from gavatar_runtime.adaptive import PATIENCE, RECOVERY, AdaptiveAvatar
 from gavatar_runtime.avatar import Avatar
 from gavatar_runtime.bundle import read_bundle
 from gavatar_runtime.detail import thinned, uv_for_size
@@ -274,6 +276,60 @@ def test_a_pipelined_player_writes_the_same_images(bundle):
         assert len(timings) == 6
         results.append(writer.images)
     np.testing.assert_array_equal(*results)
+
+
+# a budget
+
+
+def test_a_budget_makes_frames_cheaper_and_finer_again(bundle):
+    avatar = AdaptiveAvatar(bundle, 0.010, tier="int8")
+    pose = np.zeros((52, 3), np.float32)
+    assert avatar.levels[:4] == [(1, None), (2, None), (4, None), (8, None)]
+
+    def frames(count: int, seconds: float) -> tuple:
+        for _ in range(count):
+            avatar.gaussians(pose)
+            avatar.frame_took(seconds)
+        return avatar.levels[avatar.level]
+
+    assert frames(PATIENCE, 0.02) == (2, None)
+    assert frames(100, 0.02) == avatar.levels[-1]  # as cheap as it goes, and no further
+    assert frames(RECOVERY, 0.008) == avatar.levels[-1]  # within the budget: nothing changes
+    assert frames(RECOVERY + 5, 0.002) == avatar.levels[-2]  # a few frames until the running mean follows
+    assert frames(500, 0.002) == (1, None)
+    assert sum(level["frames"] for level in avatar.report()) == PATIENCE + 100 + 2 * RECOVERY + 5 + 500
+    with pytest.raises(UserError, match="budget of 0 ms"):
+        AdaptiveAvatar(bundle, 0.0)
+    assert [r for r, _ in AdaptiveAvatar(bundle, 1.0, tier="baked").levels] == [1]  # nothing to reuse
+
+
+def test_the_player_keeps_a_budget_and_says_what_it_did(bundle, tmp_path, capsys):
+    from gavatar_runtime.cli.play import main
+
+    report = tmp_path / "r.json"
+    options = [
+        "--tier",
+        "blendshape",
+        "--size",
+        "48",
+        "--frames",
+        "0:12",
+        "--out",
+        str(tmp_path / "f"),
+        "--json",
+        str(report),
+    ]
+    with pytest.raises(SystemExit) as done:
+        main([str(bundle.path), *options, "--budget-ms", "0.01"])
+    assert done.value.code == 0
+    assert "budget 0.01 ms:" in capsys.readouterr().out
+    levels = json.loads(report.read_text())["levels"]
+    assert len(levels) >= 1
+    assert sum(level["frames"] for level in levels) == 12
+    with pytest.raises(SystemExit) as done:
+        main([str(bundle.path), *options, "--budget-ms", "5", "--reuse", "2"])
+    assert done.value.code == 2
+    assert "leave --uv and --reuse out" in capsys.readouterr().err
 
 
 # choosing

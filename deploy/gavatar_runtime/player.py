@@ -123,6 +123,8 @@ def play(
             written = writing.submit(write, image.copy() if pipelined else image)
             wall = drawn - start
             timings.add({**stages, OTHER: max(0.0, wall - sum(stages.values())), WRITE: before}, wall)
+            if hasattr(avatar, "frame_took"):
+                avatar.frame_took(wall)
             if progress is not None:
                 progress(done, len(wanted))
             start = perf_counter()

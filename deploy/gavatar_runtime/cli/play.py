@@ -109,8 +109,14 @@ def main(argv: list[str] | None = None) -> int:
     motion = read_motion(arguments.motion, **options["motion"])
     bundle = read_bundle(arguments.avatar)
     tier = choose_tier(bundle, arguments)
-    options_of_avatar = {"reuse": arguments.reuse, "threads": arguments.threads}
-    avatar = Avatar(bundle, tier=tier, uv=arguments.uv, **options_of_avatar)
+    if arguments.budget_ms:
+        from ..adaptive import AdaptiveAvatar
+
+        if arguments.uv or arguments.reuse > 1:
+            raise UserError("--budget-ms chooses the level of detail and the reuse: leave --uv and --reuse out")
+        avatar = AdaptiveAvatar(bundle, arguments.budget_ms / 1000, tier=tier, threads=arguments.threads)
+    else:
+        avatar = Avatar(bundle, tier=tier, uv=arguments.uv, reuse=arguments.reuse, threads=arguments.threads)
     motion, ignored = avatar.fit(clip(motion, arguments.fps, arguments.seconds, arguments.frames))
     rasterizer = build_rasterizer(arguments.rasterizer, options["rasterizer"], threads=arguments.threads)
     cameras = choose_cameras(arguments, avatar, motion)
@@ -124,11 +130,22 @@ def main(argv: list[str] | None = None) -> int:
     progress = _progress if sys.stderr.isatty() and not arguments.quiet else None
     timings = play(avatar, motion, cameras, rasterizer, writer, background=arguments.background, progress=progress)
     report = {
-        "avatar": avatar.name, "motion": motion.name, "output": str(out), "frames": len(timings), **size,
-        "fps": motion.fps, "gaussians": len(avatar), "tier": tier, "rasterizer": type(rasterizer).__name__,
-        "threads": arguments.threads, "ignored_joints": list(ignored), "ready_seconds": ready,
+        "avatar": avatar.name,
+        "motion": motion.name,
+        "output": str(out),
+        "frames": len(timings),
+        **size,
+        "fps": motion.fps,
+        "gaussians": len(avatar),
+        "tier": tier,
+        "rasterizer": type(rasterizer).__name__,
+        "threads": arguments.threads,
+        "ignored_joints": list(ignored),
+        "ready_seconds": ready,
         **_timing_report(timings),
-    }  # fmt: skip
+    }
+    if arguments.budget_ms:
+        report |= {"budget_ms": arguments.budget_ms, "levels": avatar.report()}  # fmt: skip
     if arguments.json:
         from ..files import write_json
 
@@ -242,13 +259,18 @@ def _timing_report(timings: Timings) -> dict[str, Any]:
 def _table(report: dict[str, Any]) -> str:
     lines = [
         f"{report['output']}: {report['frames']} frames of {report['width']}x{report['height']}, "
-        f"{report['gaussians']} Gaussians, {report['rasterizer']}",
+        f"{report['gaussians']} Gaussians, tier {report['tier']}, {report['rasterizer']}",
         f"{'stage':<10}{'ms a frame':>12}   (median after warm-up)",
         *(f"{stage:<10}{ms:>12.2f}" for stage, ms in report["stage_ms"].items()),
-        f"{'all':<10}{report['frame_ms']:>12.2f}   = {report['frames_per_second']:.1f} frames per second",
+        f"{'frame':<10}{report['frame_ms']:>12.2f}   = {report['frames_per_second']:.1f} frames per second; a frame is "
+        "decoded while the one before is drawn",
         f"{'write':<10}{report['write_ms']:>12.2f}   not counted above",
         f"ready to play after {report['ready_seconds']:.2f} s",
     ]
+    for level in report.get("levels", ()):
+        detail = "all Gaussians" if level["uv"] is None else f"uv {level['uv']}"
+        every = "" if level["reuse"] == 1 else f", decoded every {level['reuse']} frames"
+        lines.append(f"budget {report['budget_ms']:g} ms: {level['frames']} frames with {detail}{every}")
     return "\n".join(lines)
 
 

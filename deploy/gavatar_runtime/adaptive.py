@@ -1,0 +1,84 @@
+"""Keeping frames within a time budget while an avatar plays: temporal reuse first where networks run, then fewer
+Gaussians."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from .avatar import Avatar
+from .bundle import Bundle
+from .errors import UserError
+from .gaussians import Gaussians
+from .tiers import DEFAULT
+
+REUSE = (1, 2, 4, 8)
+DETAIL = (0.75, 0.5, 0.375, 0.25)  # of the side of the atlas
+PATIENCE, RECOVERY = 4, 30  # frames over it before it gets cheaper, and well under it before it gets finer
+EASE = 0.6  # of the budget: what a frame must stay under for a finer level to be tried
+SMOOTHING = 0.3  # of the newest frame in the running mean
+
+
+class AdaptiveAvatar:
+    """An avatar that changes its level so that its frames take `budget_s` seconds on average.
+
+    Plays like `Avatar` (`gaussians`, `stage_seconds`, and whatever else is asked of it at full detail); the
+    player tells it by `frame_took` how long each frame was. levels: (reuse, uv) from the finest; uv None is all Gaussians. Raises
+    UserError for a budget that is not positive.
+    """
+
+    def __init__(self, bundle: Bundle, budget_s: float, *, tier: str = DEFAULT, threads: int | None = None):
+        if not budget_s > 0:
+            raise UserError(f"a budget of {1000 * budget_s:g} ms a frame is not possible: give a positive number")
+        self._make = lambda reuse, uv: Avatar(bundle, tier=tier, uv=uv, reuse=reuse, threads=threads)
+        self.budget_s = budget_s
+        self.finest = self._make(1, None)
+        side = self.finest.surface.resolution
+        networks = tier in ("full", "int8", "coarse") and self.finest.dynamic
+        reuses = REUSE if networks else (1,)
+        uvs = [max(64, round(side * share)) for share in DETAIL]
+        self.levels = [(reuse, None) for reuse in reuses]
+        self.levels += [(reuses[-1], uv) for uv in dict.fromkeys(uvs) if uv < side]
+        self.level = 0
+        self.with_normals = False
+        self.frames: Counter[int] = Counter()  # by level
+        self._avatars = {0: self.finest}
+        self._mean, self._over, self._under = 0.0, 0, 0
+
+    def __getattr__(self, name: str):
+        if name == "finest":  # not there yet: the constructor failed
+            raise AttributeError(name)
+        return getattr(self.finest, name)
+
+    def __len__(self) -> int:
+        return len(self.finest)
+
+    def gaussians(self, pose: np.ndarray, trans: np.ndarray | None = None) -> Gaussians:
+        """The avatar in one pose at the present level (see `Avatar.gaussians`)."""
+        level = self.level
+        if level not in self._avatars:
+            self._avatars[level] = self._make(*self.levels[level])
+        avatar = self._avatars[level]
+        avatar.with_normals = self.with_normals
+        result = avatar.gaussians(pose, trans)
+        self.stage_seconds = avatar.stage_seconds
+        self.frames[level] += 1
+        return result
+
+    def frame_took(self, seconds: float) -> None:
+        """Note what a frame took and change the level for those to come."""
+        self._mean = seconds if not self._mean else (1 - SMOOTHING) * self._mean + SMOOTHING * seconds
+        self._over = self._over + 1 if self._mean > self.budget_s else 0
+        self._under = self._under + 1 if self._mean < EASE * self.budget_s else 0
+        step = (self._over >= PATIENCE) - (self._under >= RECOVERY)
+        if step and 0 <= self.level + step < len(self.levels):
+            self.level += step
+            self._mean, self._over, self._under = 0.0, 0, 0
+
+    def report(self) -> list[dict]:
+        """Frames played at each level that was used, the finest first."""
+        return [
+            {"reuse": self.levels[i][0], "uv": self.levels[i][1], "frames": count}
+            for i, count in sorted(self.frames.items())
+        ]
