@@ -48,7 +48,7 @@ class FitOptions:
     angular_acceleration: float = 120.0  # radians / s^2
     weights: dict = dataclasses.field(
         default_factory=lambda: {
-            "image": 1.0, "bones": 0.5, "inside": 1.0, "reach": 3.0, "pose": 0.05, "betas": 0.005, "offset": 0.02,
+            "image": 1.0, "bones": 0.5, "inside": 1.0, "reach": 10.0, "pose": 0.05, "betas": 0.005, "offset": 0.02,
             "smooth": 0.1, "stature": 1.0, "camera": 0.01,
         }
     )  # fmt: skip

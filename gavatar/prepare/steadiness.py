@@ -7,6 +7,7 @@ import numpy as np
 
 STEADY = 0.004  # of the image's longer side: shake that a body fit does not notice
 _CORNERS, _SIDE = 300, 480
+_CONTRAST = 6  # grey levels, standard deviation around a corner
 
 
 class Steadiness:
@@ -25,8 +26,11 @@ class Steadiness:
         person = cv2.dilate(cv2.resize(mask, size, interpolation=cv2.INTER_AREA), np.ones((15, 15)))
         if self.first is None:
             self.first = grey
-            self.corners = cv2.goodFeaturesToTrack(grey, _CORNERS, 0.02, 7, mask=np.where(person > 20, 0, 255).astype(
-                np.uint8))  # fmt: skip
+            # corners are judged beside the best one: on a plain wall those would be the codec's noise
+            values = grey.astype(np.float32)
+            contrast = np.sqrt(np.maximum(cv2.blur(values**2, (9, 9)) - cv2.blur(values, (9, 9)) ** 2, 0))
+            free = np.where((person > 20) | (contrast < _CONTRAST), 0, 255).astype(np.uint8)
+            self.corners = cv2.goodFeaturesToTrack(grey, _CORNERS, 0.02, 7, mask=free)
             return
         if self.corners is None or len(self.corners) < 8:
             return
