@@ -24,8 +24,8 @@ class AdaptiveAvatar:
     """An avatar that changes its level so that its frames take `budget_s` seconds on average.
 
     Plays like `Avatar` (`gaussians`, `stage_seconds`, and whatever else is asked of it at full detail); the
-    player tells it by `frame_took` how long each frame was. levels: (reuse, uv) from the finest; uv None is all Gaussians. Raises
-    UserError for a budget that is not positive.
+    player tells it by `frame_took` how long each frame was. levels: (reuse, uv) from the finest; uv None is all.
+    Raises UserError for a budget that is not positive.
     """
 
     def __init__(self, bundle: Bundle, budget_s: float, *, tier: str = DEFAULT, threads: int | None = None):
