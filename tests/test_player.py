@@ -17,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from video_frames import frames_of
 
+from gavatar_runtime import native_library
 from gavatar_runtime.avatar import Avatar
 from gavatar_runtime.cli import play as command
 from gavatar_runtime.errors import UserError
@@ -364,6 +365,7 @@ def test_a_rasterizer_that_takes_threads_is_given_them_and_others_are_not(monkey
     assert build_rasterizer("many", threads=3).threads == 3
     assert build_rasterizer("many", {"threads": 2}, threads=3).threads == 2
     assert isinstance(build_rasterizer("numpy", threads=3), Plain)
+    monkeypatch.setattr(native_library, "available", lambda: (False, "the native kernel is not built"))
     assert isinstance(build_rasterizer("auto"), Plain)
     with pytest.raises(UserError, match="not built"):
         build_rasterizer("native")

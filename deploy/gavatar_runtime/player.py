@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import importlib
 import pkgutil
@@ -13,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from . import native_library
 from .avatar import Avatar
 from .camera import Camera
-from .errors import UserError
 from .motion import Motion
 from .plugins import load_entry_points
 from .registry import Registry
@@ -23,7 +22,7 @@ from .writers import Writer, to_bytes
 
 WARM_UP = 3  # frames left out of the medians where there are more: first use of buffers and networks
 OTHER, WRITE = "other", "write"
-AUTO = ("native", "numpy")  # rasterizers that `auto` tries, the first that is there to be used
+AUTO = ("native", "numpy")  # what `auto` is where the kernel is compiled, and where it is not
 
 
 @dataclasses.dataclass
@@ -155,12 +154,8 @@ def build_rasterizer(name: str = "auto", options: Mapping[str, Any] | None = Non
     threads: passed on to a rasterizer that has such an option. Raises UserError for an unknown name or option.
     """
     registry = player_rasterizers()
-    if name == "auto":
-        for candidate in AUTO:
-            if candidate in registry:
-                with contextlib.suppress(UserError):
-                    return build_rasterizer(candidate, options, threads=threads)
-        return build_rasterizer(AUTO[-1], options, threads=threads)  # for its error
+    if name == "auto":  # chosen by what is there, so that a mistaken option of the native one is still its own error
+        name = AUTO[0] if AUTO[0] in registry and native_library.available()[0] else AUTO[1]
     if name not in registry:
         load_entry_points()
     fields = {field.name for field in dataclasses.fields(registry[name].config)}

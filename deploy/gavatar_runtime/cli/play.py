@@ -99,6 +99,7 @@ def main(argv: list[str] | None = None) -> int:
     start = perf_counter()
     options = parse_settings(arguments.set)
 
+    from .. import native_library
     from ..avatar import Avatar
     from ..bundle import read_bundle
     from ..motions import read_motion
@@ -124,6 +125,10 @@ def main(argv: list[str] | None = None) -> int:
     size = {"width": cameras[0].width, "height": cameras[0].height}
     writer = open_writer(out, **size, fps=motion.fps, background=arguments.background)
     ready = perf_counter() - start
+    if arguments.rasterizer == "auto" and not native_library.available()[0] and not arguments.quiet:
+        print(
+            f"note: rasterizer numpy, many times slower than native: {native_library.available()[1]}", file=sys.stderr
+        )
     if ignored and not arguments.quiet:
         print(f"note: the body has no {_listed(ignored)}; their rotations are ignored", file=sys.stderr)
 
