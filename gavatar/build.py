@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from gavatar_runtime.body import BodyData
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.skeletons import fit_motion
 from gavatar_runtime.surface import Surface
 
 from .avatar import Avatar, AvatarConfig
@@ -61,6 +64,32 @@ def build_rasterizer(node: dict[str, Any]):
     return RASTERIZERS.build(*split_node(node))
 
 
+def resolve_body(node: dict[str, Any], capture: Capture) -> dict[str, Any]:
+    """The node of a body, `auto` replaced by the body that the capture's poses are of."""
+    name, options = split_node(node)
+    return BODIES[name].factory.choose(BODIES.options(name, options), capture) if name == "auto" else node
+
+
+def build_body(node: dict[str, Any], capture: Capture) -> Body:
+    """The body of a composed node for a capture."""
+    return BODIES.build(*split_node(resolve_body(node, capture)))
+
+
+def capture_on_body(capture: Capture, data: BodyData) -> Capture:
+    """The capture with its motion placed on a body (`Capture.placed`) and one rotation a joint of it, matched by the
+    joints' names: fingers stay fingers, whether the poses come with a jaw or without. Moving joints that the body lacks
+    are named in a warning."""
+    capture = capture.placed(data)
+    fitted = {}
+    for key in ("motion", "truth"):
+        motion = getattr(capture, key)
+        if motion is not None:
+            fitted[key], ignored = fit_motion(motion, data.joint_names, data.rest_pose)
+            if ignored and key == "motion":
+                warnings.warn(f"body '{data.name}' lacks joints that move in {capture.path}: {', '.join(ignored)}")
+    return dataclasses.replace(capture, **fitted)
+
+
 @dataclasses.dataclass
 class AvatarBuild:
     """An untrained avatar and what it stands on. surface(R) samples the body's atlas at R x R texels, cached."""
@@ -79,8 +108,9 @@ class AvatarBuild:
 def build_avatar(
     body_node: dict, encoder_node: dict, decoder_node: dict, avatar: AvatarConfig, capture: Capture, seed: int
 ) -> AvatarBuild:
-    """An avatar of the capture's person with freshly initialised parameters (a function of `seed` alone)."""
-    body = BODIES.build(*split_node(body_node))
+    """An avatar of the capture's body, shaped by its betas, with freshly initialised parameters (a function of `seed`
+    alone)."""
+    body = build_body(body_node, capture)
     betas = capture.placed(body.data).motion.betas
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

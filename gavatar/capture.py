@@ -56,7 +56,8 @@ class Capture:
     image_path, mask_path: functions of a View. read_mask: from a mask's path to (H, W) uint8 alpha, where masks are not
     images of alpha. moving: the cameras of views whose camera moves, over those of `cameras`. lenses: distortion
     coefficients (OpenCV's k1, k2, p1, p2, k3) by camera: images are straightened when loaded. listing: the file that
-    names the views. placement: how the motion is brought to a body, None when it needs no bringing.
+    names the views. placement: how the motion is brought to a body, None when it needs no bringing. gender: of
+    the body model, 'neutral' if nothing says.
     """
 
     path: Path
@@ -76,6 +77,7 @@ class Capture:
     lenses: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
     listing: str = "capture.json"
     placement: Placement | None = None
+    gender: str = "neutral"
 
     def camera(self, view: View) -> Camera:
         """The camera of one view."""
@@ -312,4 +314,5 @@ def read_capture(path: str | os.PathLike, faults: Faults | None = None) -> Captu
         truth=truth,
         image_path=image_path,
         mask_path=mask_path,
+        gender=str(info.get("gender", "neutral")),
     )

@@ -97,7 +97,7 @@ def export(
         encoder_map = run.built.surface(avatar.encoder.map_size)
     members["surface.npz"] = pack_surfaces(run.built.surface(run.uv), encoder_map)
     joints = data.shaped(run.built.betas)[1]
-    members["body.npz"] = pack_body(data.joint_names, data.parents, joints, run.built.betas)
+    members["body.npz"] = pack_body(data.joint_names, data.parents, joints, run.built.betas, data.rest_pose)
     source = TierSource(run, avatar.surface, lambda model: _with_metadata(model, manifest), progress)
     for name in tiers:
         members |= TIERS.build(name).build(source)

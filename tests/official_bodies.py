@@ -180,7 +180,7 @@ def _face(names, vertices: np.ndarray, weights: np.ndarray, regressor: np.ndarra
     top, front = vertices[ours, 1].max(), vertices[ours, 2].max()
     x, y, z = (vertices - (0, top, front)).T
     smooth = lambda value, low, high: np.clip((value - low) / (high - low), 0, 1)  # noqa: E731
-    chin = weights[:, head] * smooth(-y, 0.165, 0.185) * smooth(z, -0.1, -0.06)
+    chin = weights[:, head] * smooth(-y, 0.178, 0.192) * smooth(z, -0.1, -0.06)
     centres = {
         "jaw": (0, -0.14, -0.1),
         "left_eye_smplhf": (0.032, -0.105, -0.03),
@@ -196,7 +196,7 @@ def _face(names, vertices: np.ndarray, weights: np.ndarray, regressor: np.ndarra
         target = centres[name] + np.array([0, top, front])
         regressor[names.index(name)] = _regress(vertices[ours], target, ours, len(vertices))
     rng = np.random.default_rng(0)
-    mouth = np.exp(-(x**2 + (y + 0.155) ** 2) / 0.02**2) * smooth(z, -0.06, -0.02)
+    mouth = np.exp(-(x**2 + (y + 0.175) ** 2) / 0.02**2) * smooth(z, -0.06, -0.02)
     return 0.003 * mouth[:, None, None] * rng.normal(size=(1, 3, 10))
 
 

@@ -51,7 +51,7 @@ class Avatar:
         chosen, growth = (None, 1.0) if uv is None or uv == stored.resolution else thinned(stored, uv)
         self.surface = stored if chosen is None else _taken(stored, chosen)
         self.joints = self.surface.joints
-        self.joint_names = self._read_joint_names()
+        self.joint_names, self._rest_pose = self._read_body()
         self.with_normals = False
         self.stage_seconds: dict[str, float] = {}
         self.tier = tier
@@ -75,7 +75,7 @@ class Avatar:
 
         Raises UserError for a NaN or infinite pose or translation.
         """
-        motion, ignored = fit_motion(motion, self.joint_names)
+        motion, ignored = fit_motion(motion, self.joint_names, self._rest_pose)
         motion = scaled_to_legs(motion, self.joint_names, self.joints)
         for key, array in (("pose", motion.poses), ("translation", motion.trans)):
             bad = ~np.isfinite(array.reshape(len(array), -1)).all(1)
@@ -96,7 +96,7 @@ class Avatar:
             raise ValueError(f"pose has shape {pose.shape}, expected (J, 3)")
         trans = np.zeros(3, np.float32) if trans is None else np.asarray(trans, np.float32)
         if len(pose) != len(self.joint_names):
-            pose = fit_motion(Motion(pose[None], trans[None], 1.0), self.joint_names)[0].poses[0]
+            pose = self.fit(Motion(pose[None], trans[None], 1.0))[0].poses[0]
         self._check_finite(pose, trans)
 
         points, colors, scales = self._decode(pose)
@@ -153,14 +153,18 @@ class Avatar:
         if not np.isfinite(trans).all():
             raise UserError("the translation is NaN or infinite")
 
-    def _read_joint_names(self) -> tuple[str, ...]:
-        names = tuple(str(name) for name in self.bundle.arrays("body.npz").get("joint_names", ()))
+    def _read_body(self) -> tuple[tuple[str, ...], np.ndarray | None]:
+        """Joint names and the rest pose, None where it is zero."""
+        arrays = self.bundle.arrays("body.npz")
+        names, rest = tuple(str(name) for name in arrays.get("joint_names", ())), arrays.get("rest_pose")
         if len(names) != self.surface.num_joints:
             raise UserError(
                 f"{self.bundle.path}: body.npz names {len(names)} joints and surface.npz has "
                 f"{self.surface.num_joints}; export the avatar again"
             )
-        return names
+        if rest is not None and (rest.shape != (len(names), 3) or not np.isfinite(rest).all()):
+            raise UserError(f"{self.bundle.path}: rest_pose in body.npz is not (J, 3) numbers; export the avatar again")
+        return names, rest
 
 
 def _taken(surface: Surface, chosen: np.ndarray) -> Surface:

@@ -223,16 +223,20 @@ def pack_surfaces(gaussians: Surface, encoder_map: Surface | None = None) -> byt
     return pack_arrays(arrays)
 
 
-def pack_body(joint_names, parents: np.ndarray, joints: np.ndarray, betas: np.ndarray | None = None) -> bytes:
-    """body.npz: joint_names (J,), parents (J,), joints (J, 3) rest joints of the trained shape, metres, betas (B,)."""
-    return pack_arrays(
-        {
-            "joint_names": np.asarray(joint_names, np.str_),
-            "parents": np.asarray(parents, np.int32),
-            "joints": np.asarray(joints, np.float64),
-            "betas": np.zeros(0) if betas is None else np.asarray(betas, np.float64).reshape(-1),
-        }
-    )
+def pack_body(
+    joint_names, parents: np.ndarray, joints: np.ndarray, betas: np.ndarray | None = None, rest_pose=None
+) -> bytes:
+    """body.npz: joint_names (J,), parents (J,), joints (J, 3) rest joints of the trained shape, metres, betas (B,), and
+    rest_pose (J, 3), axis-angle of joints that no motion moves, unless it is zero."""
+    arrays = {
+        "joint_names": np.asarray(joint_names, np.str_),
+        "parents": np.asarray(parents, np.int32),
+        "joints": np.asarray(joints, np.float64),
+        "betas": np.zeros(0) if betas is None else np.asarray(betas, np.float64).reshape(-1),
+    }
+    if rest_pose is not None and np.any(rest_pose):
+        arrays["rest_pose"] = np.asarray(rest_pose, np.float64)
+    return pack_arrays(arrays)
 
 
 def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:

@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from gavatar_runtime.errors import UserError
 
-from ..build import AvatarBuild, build_avatar, open_capture
+from ..build import AvatarBuild, build_avatar, capture_on_body, open_capture, resolve_body
 from ..capture import Capture
 from ..config import TrainConfig, check
 from ..files import atomic, load_tensors
@@ -26,6 +26,8 @@ def train(composed: DictConfig, directory: Path) -> Trainer:
     configuration and overwrite is off.
     """
     config = check(composed)
+    # what `auto` finds today is written down: another day it may find other files
+    config.body = resolve_body(config.body, open_capture(config.capture, config.capture_format))
     directory = Path(directory)
     path = directory / CONFIG
     if path.exists() and not config.overwrite:
@@ -87,7 +89,7 @@ def open_run(directory: str | Path, stage: int | None = None, capture: str | Pat
     state = load_tensors(directory / STAGE_FILES[number])
     opened = open_capture(config.capture, config.capture_format)
     built = build_avatar(config.body, config.encoder, config.decoder, config.avatar, opened, config.seed)
-    opened = opened.placed(built.body.data)
+    opened = capture_on_body(opened, built.body.data)
     motion = MotionTable(opened.motion, built.body.data.num_joints, config.motion.joints)
     try:
         built.avatar.load_state_dict(state["avatar"])

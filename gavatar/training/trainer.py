@@ -16,7 +16,7 @@ from tqdm import tqdm
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.surface import positional_map
 
-from ..build import AvatarBuild, build_avatar, build_rasterizer, choose_device, open_capture
+from ..build import AvatarBuild, build_avatar, build_rasterizer, capture_on_body, choose_device, open_capture
 from ..capture import View
 from ..config import StageConfig, TrainConfig
 from ..files import load_tensors, save_tensors, write_image, write_json, write_motion
@@ -54,8 +54,8 @@ class Trainer:
         self.built: AvatarBuild = build_avatar(
             config.body, config.encoder, config.decoder, config.avatar, self.capture, config.seed
         )
+        self.capture = capture_on_body(self.capture, self.built.body.data)
         self.avatar = self.built.avatar.to(self.device)
-        self.capture = self.capture.placed(self.built.body.data)
         self.motion = MotionTable(
             self.capture.motion, self.built.body.data.num_joints, config.motion.joints
         ).to(self.device)  # fmt: skip

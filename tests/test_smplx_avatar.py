@@ -1,0 +1,200 @@
+"""An avatar on SMPL-X's 55 joints: trained, exported and played, with hands and jaw that move."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+from smplx_capture import hand_motion, write_smplx_capture, write_smplx_model
+from tiny_capture import SMALL, write_tiny_capture
+
+from gavatar.build import build_body, capture_on_body, open_capture
+from gavatar.config import compose_config
+from gavatar.evaluation import motion_errors
+from gavatar.export import export, torch_gaussians
+from gavatar.files import load_tensors
+from gavatar.placement import Placement
+from gavatar.registry import BODIES
+from gavatar.surface import sample_surface
+from gavatar.training.run import open_run, train
+from gavatar_runtime.avatar import Avatar
+from gavatar_runtime.bundle import read_bundle
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.motion import Motion
+from gavatar_runtime.motions import read_motion
+
+FINGER = "left_index1"
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("models")
+    return folder, write_smplx_model(folder)
+
+
+@pytest.fixture(scope="module")
+def capture(models, tmp_path_factory):
+    return write_smplx_capture(tmp_path_factory.mktemp("capture") / "hands", models[1])
+
+
+def trained(capture, folder, out, *overrides):
+    settings = [f"capture={capture}", f"out={out}", f"body.path={folder}", *SMALL, *overrides]
+    if "encoder=none" in overrides:
+        settings = [s for s in settings if s == "encoder=none" or not s.startswith("encoder")]
+    train(compose_config(settings), out)
+    return open_run(out)
+
+
+@pytest.fixture(scope="module")
+def run(capture, models, tmp_path_factory):
+    out = tmp_path_factory.mktemp("run") / "run"
+    return trained(capture, models[0], out, "motion.joints=55", "stage1.steps=12", "body.hands=mean")
+
+
+@pytest.fixture(scope="module")
+def bundle(run, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bundle") / "hands.gavatar"
+    export(run, path)
+    return path
+
+
+def points_of(avatar, joint: str, share: float = 0.7) -> np.ndarray:
+    """Rows of the Gaussians that follow a joint by more than `share`."""
+    j = avatar.joint_names.index(joint)
+    return np.flatnonzero((avatar.surface.joint_weight * (avatar.surface.joint_index == j)).sum(1) > share)
+
+
+def test_the_capture_chooses_the_body(run, models):
+    assert run.built.body.data.name == "smplx"
+    assert run.config.body == {"name": "smplx", "path": str(models[0]), "gender": "neutral", "hands": "mean"}
+    assert "SMPL-X Model License" in run.built.body.license
+    assert run.motion.rotation_correction.shape == (6, 55, 3)
+
+
+def test_fingers_and_jaw_are_optimised_when_asked_for(run, capture, models, tmp_path):
+    moved = run.motion.rotation_correction.abs().amax((0, 2))
+    names = run.built.body.data.joint_names
+    for name in ("jaw", FINGER, "right_middle2", "left_elbow"):
+        assert moved[names.index(name)] > 1e-3
+    plain = trained(capture, models[0], tmp_path / "r", "stage2.steps=0")
+    assert plain.motion.rotation_correction.shape == (6, 22, 3)
+    state = load_tensors(tmp_path / "r/stage1.pt")["motion"]["rotation_correction"]
+    assert state.abs().max() > 0
+
+
+def test_the_played_avatar_is_the_trained_one_and_its_hands_and_jaw_move(run, bundle, models):
+    avatar, motion = Avatar(bundle), run.motion.motion()
+    assert avatar.joint_names == models[1].joint_names
+    for frame in (0, 5):
+        got, expected = avatar.gaussians(motion.poses[frame], motion.trans[frame]), torch_gaussians(run, motion, frame)
+        assert np.abs(got.means - expected.means.numpy()).max() < 1e-5  # float32, two engines, metres from the origin
+        assert np.abs(got.colors - expected.colors.numpy()).max() < 1e-4
+    rest = np.zeros((55, 3), np.float32)
+    still = avatar.gaussians(rest).means
+    for joint, least in ((FINGER, 0.02), ("jaw", 0.02), ("right_pinky3", 0.003), ("left_eye_smplhf", 0.0005)):
+        rows, pose = (
+            points_of(avatar, joint, 0.1 if "eye" in joint else 0.7),
+            rest.copy(),
+        )  # an eye is a point or two here
+        assert len(rows) > 0, joint
+        pose[avatar.joint_names.index(joint)] = (0.8, 0, 0) if joint == "jaw" else (0, 0, 0.8)
+        travel = np.linalg.norm(avatar.gaussians(pose).means - still, axis=1)
+        assert travel[rows].max() > least, joint
+        others = points_of(avatar, "right_knee")
+        assert travel[others].max() < 2e-3  # what dynamics of twelve steps make of it
+
+
+def test_hands_that_no_motion_moves_rest_in_their_mean(bundle, run):
+    avatar = Avatar(bundle)
+    body = Motion(np.zeros((1, 22, 3), np.float32), np.zeros((1, 3), np.float32), 30.0)
+    fitted, ignored = avatar.fit(body)
+    assert not ignored
+    rest = run.built.body.data.rest_pose
+    assert np.abs(rest[-30:]).max() > 0.3
+    np.testing.assert_allclose(fitted.poses[0], rest, atol=1e-7)
+    np.testing.assert_array_equal(avatar.fit(Motion(np.zeros((1, 55, 3)), np.zeros((1, 3)), 30.0))[0].poses, 0)
+    np.testing.assert_array_equal(avatar.gaussians(body.poses[0]).means, avatar.gaussians(rest).means)
+
+
+@pytest.mark.parametrize("name", ["wave", "turn"])
+def test_motions_in_smplh_order_move_the_fingers_not_the_jaw(bundle, name):
+    avatar = Avatar(bundle)
+    motion = read_motion(name)
+    fitted, ignored = avatar.fit(motion)
+    assert not ignored
+    assert fitted.poses.shape[1] == 55
+    assert not fitted.poses[:, 22:25].any()
+    np.testing.assert_array_equal(fitted.poses[:, 25:], motion.poses[:, 22:])
+
+
+def test_a_bundle_holds_no_more_of_the_model_than_playing_needs(bundle, models):
+    read = read_bundle(bundle)
+    body = read.arrays("body.npz")
+    assert set(body) == {"joint_names", "parents", "joints", "betas", "rest_pose"}
+    count = len(models[1].v_template)
+    for member in ("surface.npz", "body.npz"):
+        for key, array in read.arrays(member).items():
+            assert count not in array.shape, key  # nothing by vertex: no template, blendshapes, weights, regressor
+    assert "SMPL-X Model License" in read.manifest.body["license"]
+
+
+def test_poses_in_smplh_order_train_the_same_hands(models, tmp_path):
+    """A capture whose body.npz has 52 joints: its fingers land on the fingers of the 55."""
+    folder, data = models
+    capture = write_smplx_capture(tmp_path / "c", data, size=48, joints=52)
+    fitted = capture_on_body(open_capture(capture), data)
+    poses, _ = hand_motion(data)
+    poses[:, 22:25] = 0
+    np.testing.assert_array_equal(fitted.motion.poses, poses)
+    shutil.copy(capture / "body.npz", capture / "body_truth.npz")
+    run = trained(capture, folder, tmp_path / "r", "stage1.steps=1", "stage2.steps=0", "encoder=none")
+    assert motion_errors(run.built, run.capture.motion, run.capture.truth, [0, 5])[0] == 0
+
+
+def test_joints_that_the_body_lacks_are_named(capture, tmp_path):
+    free = BODIES.build("free").data
+    with pytest.warns(UserWarning, match=r"body 'free' lacks joints that move in .*: jaw$"):
+        fitted = capture_on_body(open_capture(capture), free)
+    assert fitted.motion.poses.shape[1] == 52
+
+
+def test_a_capture_of_a_body_that_is_not_there_says_what_to_do(capture, tmp_path, monkeypatch):
+    monkeypatch.delenv("GAVATAR_BODY_MODELS", raising=False)
+    with pytest.raises(UserError, match=r"no neutral SMPL-X model.*https.*or body=free, though"):
+        train(compose_config([f"capture={capture}", f"out={tmp_path / 'r'}", *SMALL]), tmp_path / "r")
+    assert not (tmp_path / "r").exists()
+    info = json.loads((capture / "capture.json").read_text())
+    other = shutil.copytree(capture, tmp_path / "other")
+    (other / "capture.json").write_text(json.dumps(info | {"body_model": "star"}))
+    with pytest.raises(UserError, match="body_model is 'star'"):
+        build_body({"name": "auto"}, open_capture(other))
+    (other / "capture.json").write_text(json.dumps(info | {"gender": "female"}))
+    with pytest.raises(UserError, match=r"no female SMPL-X model"):
+        build_body({"name": "auto"}, open_capture(other))
+
+
+def test_captures_of_the_free_body_need_no_files(tmp_path, monkeypatch):
+    monkeypatch.delenv("GAVATAR_BODY_MODELS", raising=False)
+    tiny = open_capture(write_tiny_capture(tmp_path / "tiny", frames=(0,), test=(), novel=()))
+    assert tiny.body_model == "smplh"  # how it has been called so far
+    assert build_body({"name": "auto"}, tiny).data.name == "free"
+    assert BODIES.build("auto").data.name == "free"
+    foreign = dataclasses.replace(tiny, body_model="smpl", placement=Placement(tiny.motion, "smpl", np.eye(3)))
+    with pytest.warns(UserWarning, match=r"free body takes the place of smpl.*SMPL_NEUTRAL\.pkl.*https"):
+        assert build_body({"name": "auto"}, foreign).data.name == "free"
+    with pytest.raises(UserError, match=r"body\.path=/no/such"):
+        build_body({"name": "auto", "path": "/no/such"}, foreign)
+
+
+def test_the_canonical_surface_carries_the_canonical_pose_blendshapes(models):
+    data = models[1]
+    surface = sample_surface(data, None, 64)
+    corners = data.faces[surface.face]
+    offsets = data.pose_offsets(data.canonical_pose())
+    assert np.abs(offsets).max() > 5e-4
+    vertices, _ = data.posed(data.canonical_pose())
+    expected = np.einsum("nk,nkc->nc", surface.barycentric.astype(np.float64), vertices[corners])
+    np.testing.assert_allclose(surface.points, expected, atol=1e-6)  # float32
