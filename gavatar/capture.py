@@ -147,7 +147,7 @@ class Capture:
             raise UserError(fault)
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(kw_only=True)
 class _Resized(Capture):
     original: Capture | None = None
 
