@@ -93,12 +93,10 @@ def test_the_played_avatar_is_the_trained_one_and_its_hands_and_jaw_move(run, bu
         assert np.abs(got.means - expected.means.numpy()).max() < 1e-5  # float32, two engines, metres from the origin
         assert np.abs(got.colors - expected.colors.numpy()).max() < 1e-4
     rest = np.zeros((55, 3), np.float32)
-    still = avatar.gaussians(rest).means
+    still = avatar.gaussians(rest).means.copy()  # the player fills its arrays again
     for joint, least in ((FINGER, 0.02), ("jaw", 0.02), ("right_pinky3", 0.003), ("left_eye_smplhf", 0.0005)):
-        rows, pose = (
-            points_of(avatar, joint, 0.1 if "eye" in joint else 0.7),
-            rest.copy(),
-        )  # an eye is a point or two here
+        share = 0.1 if "eye" in joint else 0.7  # an eye is a point or two here
+        rows, pose = points_of(avatar, joint, share), rest.copy()
         assert len(rows) > 0, joint
         pose[avatar.joint_names.index(joint)] = (0.8, 0, 0) if joint == "jaw" else (0, 0, 0.8)
         travel = np.linalg.norm(avatar.gaussians(pose).means - still, axis=1)
