@@ -1,0 +1,65 @@
+"""Files of joblib against our reader that runs nothing."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.joblib_file import load_joblib
+
+joblib = pytest.importorskip("joblib")
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+
+def test_what_joblib_writes_is_what_we_read(tmp_path):
+    rng = np.random.default_rng(0)
+    content = {
+        1: {
+            "pose": rng.normal(size=(5, 72)).astype(np.float32), "betas": np.asfortranarray(rng.normal(size=(5, 10))),
+            "ids": np.arange(3), "empty": np.zeros((0, 4)), "name": "x", "list": [np.ones(2), 3.5],
+        }
+    }  # fmt: skip
+    joblib.dump(content, tmp_path / "a.pkl")
+    mine, theirs = load_joblib(tmp_path / "a.pkl")[1], joblib.load(tmp_path / "a.pkl")[1]
+    for key in ("pose", "betas", "ids", "empty"):
+        np.testing.assert_array_equal(mine[key], theirs[key])
+        assert mine[key].dtype == theirs[key].dtype
+    np.testing.assert_array_equal(mine["list"][0], np.ones(2))
+    assert (mine["name"], mine["list"][1]) == ("x", 3.5)
+
+
+def test_a_compressed_or_hostile_joblib_file_is_refused(tmp_path):
+    class Bomb:
+        def __reduce__(self):
+            return (open, (str(tmp_path / "exploded"), "w"))
+
+    joblib.dump({"a": np.ones(3)}, tmp_path / "z.pkl", compress=3)
+    with pytest.raises(UserError, match="compress=0"):
+        load_joblib(tmp_path / "z.pkl")
+    for content in ({"a": Bomb()}, {"a": np.array([Bomb()], object)}):
+        joblib.dump(content, tmp_path / "b.pkl")
+        with pytest.raises(UserError, match=r"b\.pkl"):
+            load_joblib(tmp_path / "b.pkl")
+    assert not (tmp_path / "exploded").exists()
+
+
+def test_a_neuman_capture_whose_poses_joblib_wrote_opens(tmp_path):
+    import foreign_captures
+
+    from gavatar.build import open_capture
+    from gavatar.registry import load_plugins
+
+    load_plugins()
+    expected = foreign_captures.neuman(tmp_path, dump=joblib.dump)
+    capture = open_capture(tmp_path).placed(expected["body"])
+    posed, _ = expected["body"].posed(
+        capture.motion.poses[2].astype(float), capture.motion.betas, capture.motion.trans[2]
+    )
+    from gavatar.capture import View
+
+    pixels = capture.camera(View("cam0", 2)).project(posed)[:, :2]
+    np.testing.assert_allclose(pixels, expected["pixels"]["cam0", 2], atol=2e-3)  # as in test_foreign_captures.py
