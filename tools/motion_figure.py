@@ -15,7 +15,7 @@ from gavatar_runtime.player import build_rasterizer
 
 
 def row(avatar: Avatar, rasterizer, clip: str, columns: int, side: int) -> np.ndarray:
-    """(side, columns x side, 3) RGB in [0, 1]: moments of a clip, each framed for itself, its name in the corner."""
+    """(side, columns x side, 3) uint8 RGB: moments of a clip, each framed for itself, its name in the corner."""
     motion, _ = avatar.fit(read_motion(clip))
     front = motion.poses[:1]
     images = []
@@ -24,9 +24,11 @@ def row(avatar: Avatar, rasterizer, clip: str, columns: int, side: int) -> np.nd
         one = type(motion)(np.concatenate([front, motion.poses[t : t + 1]]), motion.trans[[t, t]], 1.0)
         camera = frame_motion(avatar, one, side, side)
         gaussians = avatar.gaussians(motion.poses[t], motion.trans[t])
-        images.append(rasterizer.render(gaussians, camera, (1, 1, 1)).color)
-    picture = np.ascontiguousarray(np.concatenate(images, 1))
-    cv2.putText(picture, Path(clip).name, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0.3, 0.3, 0.3), 1, cv2.LINE_AA)
+        images.append(
+            rasterizer.render(gaussians, camera, (1, 1, 1)).color.copy()
+        )  # the native kernel draws into the same memory
+    picture = np.round(np.clip(np.concatenate(images, 1), 0, 1) * 255).astype(np.uint8)
+    cv2.putText(picture, Path(clip).name, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (80, 80, 80), 1, cv2.LINE_AA)
     return picture
 
 
@@ -40,8 +42,7 @@ def main() -> None:
     arguments = parser.parse_args()
     avatar, rasterizer = Avatar(arguments.avatar), build_rasterizer()
     rows = [row(avatar, rasterizer, clip, arguments.columns, arguments.side) for clip in arguments.clips]
-    sheet = np.round(np.clip(np.concatenate(rows), 0, 1) * 255).astype(np.uint8)
-    cv2.imwrite(arguments.out, sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
+    cv2.imwrite(arguments.out, np.concatenate(rows)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
 if __name__ == "__main__":
