@@ -26,6 +26,7 @@ import numpy as np
 from gavatar.config import check, compose_config
 from gavatar.evaluation import Evaluation, Evaluator, evaluate, motion_errors
 from gavatar.files import write_image, write_json
+from gavatar.registry import load_plugins
 from gavatar.reporting import format_table
 from gavatar.training.preview import error_map
 from gavatar.training.run import open_run, train
@@ -60,6 +61,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument(
         "--figure", type=Path, metavar="FILE", help="picture of the last preset's first seed (jpg, png)"
     )
+    parser.add_argument("--picture-of", type=Path, metavar="RUN", help="only make --figure, of a finished run's stages")
     parser.add_argument("--one", nargs=3, metavar=("PRESET", "KIND", "SEED"), help=argparse.SUPPRESS)
     parser.add_argument("override", nargs="*", help="Hydra overrides for every run, for example decoder.scale_limit=2")
     return parser.parse_intermixed_args(argv)
@@ -166,6 +168,23 @@ def figure(args: argparse.Namespace, preset: str, seed: str, path: Path) -> None
     write_image(path, picture)
 
 
+def picture_of(args: argparse.Namespace) -> None:
+    """--figure of one run: the footage, each finished stage, and their errors."""
+    targets, renders = [], {}
+    for stage in (1, 2):
+        run = open_run(args.picture_of, stage, args.capture)
+        evaluator = Evaluator(run, progress=False)
+        views = pictured(run.capture)
+        footage = [run.capture.load(view) for view in views]
+        targets = [color + (1 - alpha[..., None]) for color, alpha in footage]
+        renders[stage] = [evaluator.render(view, run.capture.truth or run.capture.motion) for view in views]
+    errors = [[error_map(t, r) for t, r in zip(targets, row, strict=True)] for row in renders.values()]
+    boxes = [_person(target) for target in targets]
+    rows = [targets, *renders.values(), *errors]
+    cells = [np.concatenate([_cut(c, b) for c, b in zip(row, boxes, strict=True)], 1) for row in rows]
+    write_image(args.figure, np.concatenate(cells))
+
+
 def _read(path: Path) -> np.ndarray:
     return cv2.imread(str(path))[..., ::-1].astype(np.float32) / 255
 
@@ -228,6 +247,11 @@ def main(argv: list[str] | None = None) -> int:
     args = arguments(argv)
     if args.one:
         one(args)
+        return 0
+    load_plugins()
+    if args.picture_of:
+        args.figure = args.figure or args.picture_of / "stages.jpg"
+        picture_of(args)
         return 0
     presets, seeds = args.presets.split(","), args.seeds.split(",")
     kinds = ["baseline", "avatar", *(["control"] if args.control else [])]
