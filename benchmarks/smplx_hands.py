@@ -4,7 +4,7 @@
 
 The body is the free one dressed up as SMPL-X (tests/official_bodies.py), the capture 24 rendered views of it whose
 fingers close and whose mouth opens, the poses given to training are off by seeded noise. Prints the error of the finger
-and face joints and of the body before and after training with motion.joints=22 and 55, and draws the exported avatar.
+joints and of the body before and after training with motion.joints=22 and 55, and draws the exported avatar.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def noisy(capture: Path, sigma: float = 0.12) -> None:
 
 
 def errors(run, motion) -> tuple[float, float]:
-    """Mean distance to the true joints in millimetres: of the 22 body joints to the root's place, and of the fingers to
-    their wrist and the jaw's children to the head, so that each hand is judged alone (finger tips are not joints)."""
+    """Mean distance to the true joints in millimetres: of the 22 body joints, root at its place, and of the finger
+    joints from their own wrist, so that each hand is judged alone."""
     data, truth = run.built.body.data, run.capture.truth
     body, hands = [], []
     for t in range(len(truth)):
