@@ -42,7 +42,7 @@ def capture_format(path: Path) -> str:
     for component in CAPTURES:
         if component.name != "auto" and component.factory.recognises(path):
             return component.name
-    known = "; ".join(f"{c.name}: {c.factory.signs}" for c in CAPTURES if c.name != "auto")
+    known = "; ".join(f"{c.name}: {getattr(c.factory, 'signs', c.summary)}" for c in CAPTURES if c.name != "auto")
     raise UserError(f"{path} is not a capture: none of the known layouts fits ({known})")
 
 

@@ -26,7 +26,8 @@ EPILOG = """examples
   gavatar-play anna.gavatar --motion wave --set motion.waves=3 --out sheet.png
   gavatar-play anna.gavatar --motion capture/body.npz --camera capture/cameras.json:cam0
 
-Motions are y-up; an AMASS file's z-up is noticed, and --set motion.up=z or y says so where that fails.
+Motion files: .npz (AMASS, SMPL, SMPL-H, SMPL-X), .bvh, .pkl (AIST++), .pth (GaussianAvatar); see gavatar-motion. They
+are turned y-up; --set motion.up=z, y or -y says which way was up where that is told wrongly.
 """
 DEFAULT_SIZE, MAX_SIZE = 512, 8192
 DEFAULT_FPS = 30.0
