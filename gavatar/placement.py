@@ -21,6 +21,9 @@ from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_a
 # (3,) metres: the rest pelvis of the mean body of a family, to two digits. It only serves bodies of other families.
 MEAN_PELVIS = {"smpl": (0.0, -0.23, 0.03), "smplh": (0.0, -0.23, 0.03), "smplx": (0.0, -0.35, 0.01)}
 
+# Bodies whose betas and rest pelvis mean what a family's do: SMPL-H is SMPL with hands
+SAME_SHAPES = {"smpl": ("smpl", "smplh"), "smplh": ("smplh", "smpl"), "smplx": ("smplx",)}
+
 
 @dataclasses.dataclass(frozen=True)
 class Placement:
@@ -40,7 +43,7 @@ class Placement:
         """The motion of a body, y-up; None: of a mean body of the family."""
         poses = self.source.poses.astype(np.float64)
         betas = self.source.betas
-        if body is None or not body.name.startswith(self.family):
+        if body is None or body.name not in SAME_SHAPES[self.family]:
             then = np.array(MEAN_PELVIS[self.family])
             now = then if body is None else body.shaped(None)[1][0]
             betas = betas if body is None else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 
@@ -105,6 +106,8 @@ def test_on_a_body_of_another_family_the_pelvis_stays_and_the_shape_is_left_out(
     transl = np.load(tmp_path / "poses.npz")["transl"]
     np.testing.assert_allclose(free.motion.trans + rest, (transl + mean) @ turn, atol=1e-5)
     np.testing.assert_array_equal(free.motion.poses, own.motion.poses)
+    smplx = dataclasses.replace(expected["body"], name="smplx")
+    assert open_capture(tmp_path).placed(smplx).motion.betas is None  # SMPL's shapes are not SMPL-X's
 
 
 # splits
@@ -114,7 +117,9 @@ def test_published_splits_of_people_snapshot_are_taken_by_the_folders_name(tmp_p
     folder = tmp_path / "male-3-casual"
     folder.mkdir()
     write.instantavatar(folder, frames=470)
-    splits = open_capture(folder).splits
+    capture = open_capture(folder)
+    assert capture.gender == "male"
+    splits = capture.splits
     assert [v.frame for v in splits["train"]] == list(range(0, 456, 4))  # 114 frames: start 0, end 455, skip 4
     assert [v.frame for v in splits["val"]] == [456]
     assert [v.frame for v in splits["test"]] == [456, 460, 464, 468]
@@ -360,7 +365,7 @@ def test_gavatars_own_capture_is_not_moved_by_a_body():
     assert capture.placed(free_body()) is capture
 
 
-def test_training_evaluation_and_export_take_a_foreign_capture_with_a_moving_camera(tmp_path):
+def test_training_takes_a_foreign_capture_with_a_moving_camera(tmp_path):
     from gavatar.config import compose_config
     from gavatar.training.run import open_run, train
 

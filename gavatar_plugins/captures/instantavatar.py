@@ -81,6 +81,7 @@ class InstantAvatarCapture:
             license="unknown",
             source="InstantAvatar's processing",
             body_model="smpl",
+            gender=self._gender(path),
             background="footage",
             cameras={CAM: placement.camera(cam)},
             splits=splits,
@@ -92,6 +93,11 @@ class InstantAvatarCapture:
             listing="images",
             placement=placement,
         )
+
+    def _gender(self, path: Path) -> str:
+        """Of the body model that the poses were made with: People-Snapshot's sequences are named by it."""
+        first = (self.config.sequence or path.resolve().name).split("-")[0]
+        return first if first in ("male", "female") else "neutral"
 
     def _splits(self, path: Path, frames: int) -> dict[str, list[View]]:
         name = self.config.sequence or path.resolve().name
