@@ -12,6 +12,7 @@ import torch
 from tqdm import tqdm
 
 from gavatar_runtime.body import SMPL_BODY_JOINTS
+from gavatar_runtime.residuals import grouped
 from gavatar_runtime.tiers.blendshape import pose_input
 
 from .tiers import TierSource, part_of_points, upsampling
@@ -24,8 +25,10 @@ def distil(source: TierSource, *, rank: int, uv: int, samples: int, width: int, 
     """The arrays of blendshape.npz (see `gavatar_runtime.tiers.blendshape.Blendshape`).
 
     Residuals against the still look are decoded on a surface of side `uv` for the capture's poses and `samples` more,
-    reduced by PCA within each body part to `rank` bases, and the bases upsampled onto the bundle's points.
+    reduced by PCA within each body part to `rank` bases (a multiple of four), which are upsampled onto the
+    bundle's points.
     """
+    rank = -(-rank // 4) * 4
     coarse = source.run.built.surface(min(uv, source.surface.resolution))
     poses = np.concatenate([source.train_poses, source.random_poses(samples)])
     weight = np.array([LENGTH_WEIGHT] * 3 + [1.0] * 3 + [LENGTH_WEIGHT], np.float32)
@@ -87,7 +90,8 @@ def _principal(rows: np.ndarray, rank: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _quantise(bases, index, mixing, part, parts) -> tuple[np.ndarray, np.ndarray]:
-    """Bases (M, K, 7) upsampled to (N, K, 8) int8 and their steps (P, 8): one step a part and channel."""
+    """Bases (M, K, 7) upsampled to (N, K / 4, 8, 4) int8 (`residuals.grouped`) and their steps (P, 8), one a part
+    and channel."""
     count, rank = len(index), bases.shape[1]
     largest = np.zeros((parts, 7), np.float32)
     for chunk in np.array_split(np.arange(count), max(1, count // 20000)):
@@ -98,7 +102,7 @@ def _quantise(bases, index, mixing, part, parts) -> tuple[np.ndarray, np.ndarray
     for chunk in np.array_split(np.arange(count), max(1, count // 20000)):
         fine = np.einsum("nikc,ni->nkc", bases[index[chunk]], mixing[chunk])
         result[chunk, :, :7] = np.rint(fine / gains[part[chunk]][:, None])
-    return result, np.concatenate([gains, np.zeros((parts, 1), np.float32)], 1)
+    return grouped(result), np.concatenate([gains, np.zeros((parts, 1), np.float32)], 1)
 
 
 def _fit_network(inputs, targets, real: int, width: int, steps: int, progress: bool):

@@ -67,7 +67,7 @@ def random_residuals(count: int, seed: int = 0):
     basis = rng.integers(-127, 128, (count, 6, 8)).astype(np.int8)
     coefficients = rng.normal(0, 1, (5, 6)).astype(np.float32)
     gains = rng.uniform(0, 1e-3, (5, 8)).astype(np.float32)
-    return base, part, basis, coefficients, gains
+    return base, part, residuals.grouped(basis), np.pad(coefficients, ((0, 0), (0, 2))), gains
 
 
 needs_kernel = pytest.mark.skipif(not native_library.available()[0], reason=native_library.available()[1])
@@ -401,3 +401,14 @@ def test_upsampling_reproduces_a_smooth_function_on_the_body(run):
     error = np.linalg.norm(got - fine.points, axis=1)
     assert np.median(error) < 0.25 * np.median(coarse.spacing)
     assert error.max() < 3 * coarse.spacing.max()  # never another part of the body
+
+
+def test_grouped_bases_mean_what_they_say():
+    rng = np.random.default_rng(0)
+    basis = rng.integers(-127, 128, (3, 6, 8)).astype(np.int8)
+    w = rng.normal(size=6).astype(np.float32)
+    base, part, gains = np.zeros((3, 8), np.float32), np.zeros(3, np.uint8), np.full((1, 8), 1e-3, np.float32)
+    padded = np.pad(w, (0, 2))[None]
+    points = residuals.blendshapes(base, part, residuals.grouped(basis), padded, gains, residuals.empty(3))[0]
+    expected = 1e-3 * np.einsum("nkc,k->nc", basis.astype(np.float32), w)[:, :3]
+    np.testing.assert_allclose(points, expected, atol=1e-6)

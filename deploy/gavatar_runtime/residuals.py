@@ -23,22 +23,34 @@ def packed(points: np.ndarray, colors: np.ndarray, scales: np.ndarray) -> np.nda
     return np.concatenate([points, colors, scales[:, None], np.zeros_like(scales)[:, None]], 1).astype(np.float32)
 
 
+def grouped(basis: np.ndarray) -> np.ndarray:
+    """Bases (N, K, 8) as (N, ceil(K / 4), 8, 4): for each channel four side by side, zero where there is none."""
+    count, rank = basis.shape[:2]
+    filled = np.zeros((count, -(-rank // 4) * 4, 8), basis.dtype)
+    filled[:, :rank] = basis
+    return np.ascontiguousarray(filled.reshape(count, -1, 4, 8).swapaxes(2, 3))
+
+
 def blendshapes(
     base: np.ndarray, part: np.ndarray, basis: np.ndarray, coefficients: np.ndarray, gains: np.ndarray, out: Attributes
 ) -> Attributes:
     """base + gains[part] * sum_k coefficients[part, k] basis[n, k].
 
-    part: (N,) uint8, the body part of each Gaussian. basis: (N, K, 8) int8. coefficients: (P, K); gains: (P, 8), what a
-    step of the basis is worth. All arrays contiguous. Raises IndexError for a part that `coefficients` does not have.
+    part: (N,) uint8, the body part of each Gaussian. basis: (N, K / 4, 8, 4) int8 as `grouped` gives it.
+    coefficients: (P, K); gains: (P, 8), what a step of the basis is worth. All arrays contiguous.
+    Raises IndexError for a part that `coefficients` does not have.
     """
     coefficients, gains = np.ascontiguousarray(coefficients, np.float32), np.ascontiguousarray(gains, np.float32)
     if not nl.available()[0]:
         return blendshapes_reference(base, part, basis, coefficients, gains, out)
-    count, rank = basis.shape[:2]
-    _check(base.shape == (count, 8) and part.shape == (count,) and coefficients.shape == (len(gains), rank), "shapes")
+    count, groups = basis.shape[:2]
+    _check(
+        base.shape == (count, 8) and part.shape == (count,) and coefficients.shape == (len(gains), 4 * groups), "shapes"
+    )
+    _check(basis.shape[2:] == (8, 4), "shapes")
     _check((base.dtype, part.dtype, basis.dtype) == (np.float32, np.uint8, np.int8), "dtypes")
     arrays = (x.ctypes.data for x in (base, part, basis, coefficients, gains, *out))
-    _done(nl.library().gv_blendshapes(count, rank, len(gains), *arrays), "part", len(gains))
+    _done(nl.library().gv_blendshapes(count, groups, len(gains), *arrays), "part", len(gains))
     return out
 
 
@@ -61,7 +73,9 @@ def blendshapes_reference(base, part, basis, coefficients, gains, out: Attribute
     """`blendshapes` in NumPy."""
     if len(part) and part.max() >= len(coefficients):
         raise IndexError(f"residuals: part has entries outside 0..{len(coefficients) - 1}")
-    residual = np.einsum("nkc,nk->nc", basis.astype(np.float32), coefficients[part]) * gains[part]
+    residual = (
+        np.einsum("ngcj,ngj->nc", basis.astype(np.float32), coefficients[part].reshape(len(part), -1, 4)) * gains[part]
+    )
     return _unpacked(base + residual, out)
 
 

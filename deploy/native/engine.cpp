@@ -512,7 +512,7 @@ GV_API int32_t gv_skin(int64_t count, int32_t slots, int32_t joints, int32_t str
   return sound ? code : -2;
 }
 
-GV_API int32_t gv_blendshapes(int64_t count, int32_t rank, int32_t parts, const float* base, const uint8_t* part,
+GV_API int32_t gv_blendshapes(int64_t count, int32_t groups, int32_t parts, const float* base, const uint8_t* part,
                               const int8_t* basis, const float* coefficients, const float* gains, float* points,
                               float* colors, float* scales) {
   std::atomic<bool> sound{true};
@@ -520,7 +520,7 @@ GV_API int32_t gv_blendshapes(int64_t count, int32_t rank, int32_t parts, const 
     const Kernels& kernels = e.kernels();
     e.prepare();
     auto piece = [&](uint32_t i, int) {
-      if (!kernels.blendshapes(i * SKIN_PIECE, std::min(count, (int64_t)(i + 1) * SKIN_PIECE), rank, parts, base, part,
+      if (!kernels.blendshapes(i * SKIN_PIECE, std::min(count, (int64_t)(i + 1) * SKIN_PIECE), groups, parts, base, part,
                                basis, coefficients, gains, points, colors, scales))
         sound = false;
     };

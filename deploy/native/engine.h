@@ -134,7 +134,7 @@ struct Kernels {
   bool (*skin_backward)(int64_t begin, int64_t end, int32_t slots, int32_t joints, int32_t stride, const float* points,
                         const int32_t* index, const float* weight, const float* transforms, const float* grad_out,
                         float* grad_points, float* grad_transforms);
-  bool (*blendshapes)(int64_t begin, int64_t end, int32_t rank, int32_t parts, const float* base, const uint8_t* part,
+  bool (*blendshapes)(int64_t begin, int64_t end, int32_t groups, int32_t parts, const float* base, const uint8_t* part,
                       const int8_t* basis, const float* coefficients, const float* gains, float* points, float* colors,
                       float* scales);
   bool (*upsample)(int64_t begin, int64_t end, int32_t slots, int32_t rows, const float* base, const int32_t* index,

@@ -102,8 +102,9 @@ GV_API int32_t gv_skin_backward(int64_t count, int32_t slots, int32_t joints, in
                                 const float* grad_out, float* grad_points, float* grad_transforms);
 
 // Attributes of N Gaussians as base (N, 8: x y z r g b scale 0) + residual, colours clipped to [0, 1] and scales to 0.
-// Blendshapes: the residual is gains[part] * sum_k coefficients[part, k] basis[n, k], per body part. basis: (N, rank, 8).
-GV_API int32_t gv_blendshapes(int64_t count, int32_t rank, int32_t parts, const float* base, const uint8_t* part,
+// Blendshapes: the residual is gains[part] * sum_k coefficients[part, k] basis[n, k], per body part.
+// basis: (N, groups, 8, 4), basis k of channel c at [n, k / 4, c, k % 4]; coefficients: (parts, 4 groups).
+GV_API int32_t gv_blendshapes(int64_t count, int32_t groups, int32_t parts, const float* base, const uint8_t* part,
                               const int8_t* basis, const float* coefficients, const float* gains, float* points,
                               float* colors, float* scales);
 // Upsampling: the residual is sum_k weight[n, k] table[index[n, k]]. table: (rows, 8).

@@ -26,10 +26,10 @@ def pose_input(poses: np.ndarray, joints: np.ndarray) -> np.ndarray:
 
 @PLAYER_TIERS.register("blendshape", summary="pose residuals as linear bases by body part")
 class Blendshape:
-    """blendshape.npz: part (N,), basis (N, K, 8) int8, gains (P, 8); the network's layers weight_0, bias_0, weight_1
-    ... with ReLU between them, from `pose_input` of `joints` to the P x K coefficients; low and high (P x K), between
-    which coefficients are clamped, and input_low and input_high, between which its inputs are: the range of
-    training, so that no pose can leave what was seen."""
+    """blendshape.npz: part (N,), basis (N, K / 4, 8, 4) int8 (`residuals.grouped`), gains (P, 8); the network's layers
+    weight_0, bias_0, weight_1, ... with ReLU between them, from `pose_input` of `joints` to the P x K coefficients; low
+    and high (P x K), between which coefficients are clamped, and input_low and input_high, between which its inputs
+    are: the range of training, so that no pose can leave what was seen."""
 
     members = (MEMBER, BAKED)
     moves = True
@@ -49,7 +49,7 @@ class Blendshape:
             self._layers = [(arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(count)]
         except KeyError as error:
             raise UserError(f"{parts.bundle.path}: {MEMBER} lacks the array {error}; export the avatar again") from None
-        N, K = self._basis.shape[:2]
+        N, K = len(self._basis), 4 * self._basis.shape[1]
         if len(self._part) != N or len(parts.surface) != stored or self._low.shape != (len(self._gains) * K,):
             raise UserError(
                 f"{parts.bundle.path}: {MEMBER} does not fit {len(parts.surface)} Gaussians; export it again"
