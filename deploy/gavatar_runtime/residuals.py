@@ -28,7 +28,7 @@ def grouped(basis: np.ndarray) -> np.ndarray:
     count, rank = basis.shape[:2]
     filled = np.zeros((count, -(-rank // 4) * 4, 8), basis.dtype)
     filled[:, :rank] = basis
-    return np.ascontiguousarray(filled.reshape(count, -1, 4, 8).swapaxes(2, 3))
+    return np.ascontiguousarray(filled.reshape(count, filled.shape[1] // 4, 4, 8).swapaxes(2, 3))
 
 
 def blendshapes(
@@ -74,7 +74,8 @@ def blendshapes_reference(base, part, basis, coefficients, gains, out: Attribute
     if len(part) and part.max() >= len(coefficients):
         raise IndexError(f"residuals: part has entries outside 0..{len(coefficients) - 1}")
     residual = (
-        np.einsum("ngcj,ngj->nc", basis.astype(np.float32), coefficients[part].reshape(len(part), -1, 4)) * gains[part]
+        np.einsum("ngcj,ngj->nc", basis.astype(np.float32), coefficients[part].reshape(len(part), basis.shape[1], 4))
+        * gains[part]
     )
     return _unpacked(base + residual, out)
 
