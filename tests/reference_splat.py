@@ -1,9 +1,14 @@
 """The splatting rule written the slowest and plainest way: one Gaussian after another, float64, its exact bounding box.
 
 Every rasterizer is held against this file, so it shares nothing with them but the constants of the rule.
+
+The rule has thresholds, and a rasterizer that computes in float32 may fall on the other side of one. `render` says
+where that can happen: `Reference.doubtful` marks the pixels at which some decision was closer than `slack`.
 """
 
 from __future__ import annotations
+
+import dataclasses
 
 import numpy as np
 
@@ -37,8 +42,30 @@ def covariance_2d(point, scale, quaternion, camera: Camera) -> np.ndarray:
     return jacobian @ world_to_camera @ sigma @ world_to_camera.T @ jacobian.T + LOW_PASS * np.eye(2)
 
 
-def render(gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
-    """The picture in float64 from arrays of any float type."""
+@dataclasses.dataclass
+class Reference(Rendering):
+    """doubtful: (H, W) bool, pixels at which an alpha lay within a fraction `slack` of ALPHA_MIN, a transmittance
+    within `slack` of TRANSMITTANCE_STOP, or two Gaussians drawn in turn within `depth_slack` of one depth."""
+
+    doubtful: np.ndarray | None = None
+
+
+def render(
+    gaussians: Gaussians,
+    camera: Camera,
+    background=(1.0, 1.0, 1.0),
+    *,
+    alpha_max: float = ALPHA_MAX,
+    slack: float = 0.0,
+    depth_slack: float = 0.0,
+    region: tuple[int, int, int, int] | None = None,
+) -> Reference:
+    """The picture in float64 from arrays of any float type.
+
+    region: (top, left, height, width) of the part that is drawn, the whole if None. slack, depth_slack: fractions; 0
+    marks no pixel. Gaussians at the very same mean are never in doubt: whatever rounds
+    their depths rounds them alike.
+    """
     means, scales, colors = (np.asarray(v, np.float64) for v in (gaussians.means, gaussians.scales, gaussians.colors))
     opacities = np.ones(len(means)) if gaussians.opacities is None else np.asarray(gaussians.opacities, np.float64)
     quaternions = None if gaussians.quaternions is None else np.asarray(gaussians.quaternions, np.float64)
@@ -50,36 +77,47 @@ def render(gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> 
     front = np.flatnonzero(finite & (points[:, 2] > NEAR))
     order = front[np.argsort(points[front, 2].astype(np.float32), kind="stable")]
 
-    color = np.zeros((camera.height, camera.width, 3))
-    depth = np.zeros((camera.height, camera.width))
-    transmittance = np.ones((camera.height, camera.width))
-    stopped = np.zeros((camera.height, camera.width), bool)
+    top, left, *shape = region or (0, 0, camera.height, camera.width)
+    color, depth, transmittance = np.zeros((*shape, 3)), np.zeros(shape), np.ones(shape)
+    stopped, doubtful, last = np.zeros(shape, bool), np.zeros(shape, bool), np.full(shape, -1)
     for i in order:
         x, y, z = points[i]
         u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
         covariance = covariance_2d(points[i], scales[i], None if quaternions is None else quaternions[i], camera)
-        if not opacities[i] >= ALPHA_MIN:
+        if not opacities[i] * (1 + slack) >= ALPHA_MIN:
             continue
         # the ellipse d^T conic d <= reach lies in |dx| <= sqrt(reach cov_xx), |dy| <= sqrt(reach cov_yy)
-        reach = 2 * np.log(opacities[i] / ALPHA_MIN)
+        reach = 2 * np.log(opacities[i] * (1 + slack) / ALPHA_MIN)
         half = np.sqrt(reach * np.diag(covariance)) + 1e-6
-        columns = slice(int(np.clip(np.floor(u - half[0]), 0, camera.width)),
-                        int(np.clip(np.ceil(u + half[0]), 0, camera.width)))  # fmt: skip
-        rows = slice(int(np.clip(np.floor(v - half[1]), 0, camera.height)),
-                     int(np.clip(np.ceil(v + half[1]), 0, camera.height)))  # fmt: skip
-        dx = (np.arange(columns.start, columns.stop) + 0.5 - u)[None, :]
-        dy = (np.arange(rows.start, rows.stop) + 0.5 - v)[:, None]
+        window = tuple(
+            slice(int(np.clip(np.floor(at - h), 0, size)), int(np.clip(np.ceil(at + h), 0, size)))
+            for at, h, size in ((v - top, half[1], shape[0]), (u - left, half[0], shape[1]))
+        )
+        if window[0].start == window[0].stop or window[1].start == window[1].stop:
+            continue
+        dx = (np.arange(window[1].start, window[1].stop) + left + 0.5 - u)[None, :]
+        dy = (np.arange(window[0].start, window[0].stop) + top + 0.5 - v)[:, None]
         conic = np.linalg.inv(covariance)
         power = conic[0, 0] * dx * dx + (conic[0, 1] + conic[1, 0]) * dx * dy + conic[1, 1] * dy * dy
-        alpha = np.minimum(ALPHA_MAX, opacities[i] * np.exp(-0.5 * power))
-        touched = (alpha >= ALPHA_MIN) & ~stopped[rows, columns]
-        behind = transmittance[rows, columns] * (1 - alpha)
+        response = opacities[i] * np.exp(-0.5 * power)
+        alpha = np.minimum(alpha_max, response)
+        live, before = ~stopped[window], transmittance[window]
+        touched = (alpha >= ALPHA_MIN) & live
+        behind = before * (1 - alpha)
         stopping = touched & (behind < TRANSMITTANCE_STOP)
-        stopped[rows, columns] |= stopping
         blended = touched & ~stopping
-        weight = np.where(blended, alpha * transmittance[rows, columns], 0)
-        color[rows, columns] += weight[..., None] * colors[i]
-        depth[rows, columns] += weight * z
-        transmittance[rows, columns] = np.where(blended, behind, transmittance[rows, columns])
+        if slack:
+            doubt = live & (np.abs(response - ALPHA_MIN) < slack * ALPHA_MIN)
+            doubt |= touched & (np.abs(behind - TRANSMITTANCE_STOP) < slack * TRANSMITTANCE_STOP)
+            previous = last[window]
+            near = touched & (previous >= 0) & (z - points[previous, 2] < depth_slack * z)
+            doubt |= near & (means[previous] != means[i]).any(-1)
+            doubtful[window] |= doubt
+            last[window] = np.where(touched, i, previous)
+        stopped[window] |= stopping
+        weight = np.where(blended, alpha * before, 0)
+        color[window] += weight[..., None] * colors[i]
+        depth[window] += weight * z
+        transmittance[window] = np.where(blended, behind, before)
     color += transmittance[..., None] * np.asarray(background, np.float64)
-    return Rendering(color, 1 - transmittance, depth, dropped=int((~finite).sum()))
+    return Reference(color, 1 - transmittance, depth, int((~finite).sum()), doubtful)

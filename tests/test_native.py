@@ -1,5 +1,5 @@
 """The compiled kernel: bindings, threads, instruction sets, skinning. Agreement with the other rasterizers on all kinds
-of scenes stands in test_rasterizers.py; here is what only the kernel can get wrong."""
+of scenes stands in tests/rasterizers; here is what only the kernel can get wrong."""
 
 from __future__ import annotations
 

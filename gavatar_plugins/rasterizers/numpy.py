@@ -10,6 +10,8 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.gaussians import Gaussians, Rendering
 from gavatar_runtime.rasterizers.numpy import render
 
+from .torch_projection import check_dtype
+
 
 @RASTERIZERS.register("numpy", summary="the player's NumPy reference, forward only (for evaluation)")
 class NumpyTensors:
@@ -21,6 +23,7 @@ class NumpyTensors:
         self.config = config
 
     def __call__(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
+        check_dtype(gaussians)
         fields = [gaussians.means, gaussians.scales, gaussians.colors, gaussians.opacities, gaussians.quaternions]
         if torch.is_grad_enabled() and any(f is not None and f.requires_grad for f in fields):
             raise UserError("rasterizer=numpy has no gradients: train with rasterizer=auto or rasterizer=torch")

@@ -12,10 +12,21 @@ import torch
 from torch import Tensor
 
 from gavatar_runtime.camera import Camera
+from gavatar_runtime.errors import UserError
 from gavatar_runtime.gaussians import Gaussians
 from gavatar_runtime.rasterizers.rules import ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS, NEAR
 
 FIELDS = ("means", "scales", "colors", "opacities", "quaternions")
+
+
+def check_dtype(gaussians: Gaussians) -> None:
+    """UserError for halves: their pixel coordinates are a quarter of a pixel apart at 512."""
+    for name in FIELDS:
+        value = getattr(gaussians, name)
+        if value is not None and value.dtype not in (torch.float32, torch.float64):
+            raise UserError(
+                f"rasterizers take float32 or float64, got gaussians.{name} of {value.dtype}: cast it first"
+            )
 
 
 def finite_mask(gaussians: Gaussians) -> Tensor:

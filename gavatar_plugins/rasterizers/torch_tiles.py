@@ -32,7 +32,7 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.gaussians import Gaussians, Rendering
 from gavatar_runtime.rasterizers.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_STOP
 
-from .torch_projection import FIELDS, finite_mask, pixel_bounds, project, visible_in_order
+from .torch_projection import FIELDS, check_dtype, finite_mask, pixel_bounds, project, visible_in_order
 
 
 @dataclasses.dataclass
@@ -72,6 +72,7 @@ class TorchRasterizer:
         self.config = config
 
     def __call__(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
+        check_dtype(gaussians)
         with torch.no_grad():
             finite = finite_mask(gaussians)
             visible = visible_in_order(project(gaussians, camera), finite, camera)
