@@ -2,7 +2,8 @@
 
 In this order, within --minutes altogether: the rasterizer tests on CUDA; times of the rasterizers there, by CUDA
 events; pictures and gradients of gsplat beside those of torch, whose rule is gavatar's own; some training steps at
-512 x 512 texels with each. A short table comes last; OUT/gpu_check.json has the same and more, and OUT/gpu_check.log all output.
+512 x 512 texels with each. A short table comes last; OUT/gpu_check.json has the same and more, and OUT/gpu_check.log
+all output.
 
 It needs no installation: the packages are taken from this tree, and what else the machine lacks from the wheels in
 --wheels, which are unpacked into a temporary folder. gsplat compiles its kernels at first use, which takes minutes;
