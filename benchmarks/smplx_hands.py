@@ -61,10 +61,10 @@ def draw(path: Path, bundle: Path, data) -> None:
     poses, trans = hand_motion(data, 4)
     rows = []
     for view in (camera(300), camera(300, (0, 1.66, 0), 2, 13), camera(300, (0.6, 1.08, 0), 2, 14)):
-        images = [
-            rasterizer.render(avatar.gaussians(p, t), view, (1, 1, 1)).color for p, t in zip(poses, trans, strict=True)
-        ]
-        rows.append(np.hstack([np.clip(image, 0, 1) for image in images]))
+        images = []
+        for pose, place in zip(poses, trans, strict=True):  # the rasterizer fills its image again: keep a copy
+            images.append(np.clip(rasterizer.render(avatar.gaussians(pose, place), view, (1, 1, 1)).color, 0, 1))
+        rows.append(np.hstack(images))
     cv2.imwrite(str(path), np.round(255 * np.vstack(rows)).astype(np.uint8)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
