@@ -219,8 +219,11 @@ def draw(found: list[dict], path: Path) -> None:
                     label = f"{name}, {width}x{height}"
                     axes.loglog(*zip(*line, strict=True), style, marker="o", markersize=3, color=f"C{k}", label=label)
         axes.set(title=f"{mode}, {most} threads", xlabel="Gaussians", ylabel="median, ms")
-        axes.grid(True, which="both", alpha=0.2)
-        axes.legend(fontsize=7)
+        axes.set_xticks(counts := sorted({r["gaussians"] for r in found}), [f"{n:,}" for n in counts])
+        axes.minorticks_off()
+        axes.grid(True, alpha=0.3)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right center", fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
 
