@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import platform
 import subprocess
@@ -211,19 +212,17 @@ def measure_process(row: Row, path: Path, frames: int = 30) -> None:
         start = perf_counter()
         _run([*command, "--frames", "0", "--out", f"{folder}/first.png"])
         row.first_frame_s = perf_counter() - start
-        count = min(frames, 4 if row.median_ms > 100 else frames)
-        row.memory_mb = _run([*command, "--frames", f"0:{count}", "--out", f"{folder}/frames/"]) / 1024
+        count = 4 if row.median_ms > 100 else frames
+        report = Path(folder) / "report.json"
+        _run([*command, "--frames", f"0:{count}", "--out", f"{folder}/frames/", "--json", str(report)])
+        row.memory_mb = json.loads(report.read_text())["peak_memory_mb"]
 
 
-def _run(command: list[str]) -> int:
-    """Peak resident memory of a command, KiB; UserError if it fails."""
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    errors = process.stderr.read()
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise UserError(f"{' '.join(command[2:])} failed: {errors.strip().splitlines()[-1] if errors else status}")
-    return usage.ru_maxrss if sys.platform != "darwin" else usage.ru_maxrss // 1024
+def _run(command: list[str]) -> None:
+    """Run a command; UserError with its last line if it fails."""
+    result = subprocess.run(command, capture_output=True, text=True)
+    if result.returncode:
+        raise UserError(f"{' '.join(command[2:])} failed: {(result.stderr.strip().splitlines() or ['no message'])[-1]}")
 
 
 def tier_bytes(bundle: Bundle, tier: str) -> int:

@@ -148,6 +148,7 @@ def main(argv: list[str] | None = None) -> int:
         "threads": arguments.threads,
         "ignored_joints": list(ignored),
         "ready_seconds": ready,
+        "peak_memory_mb": peak_memory_mb(),
         **_timing_report(timings),
     }
     if arguments.budget_ms:
@@ -159,6 +160,17 @@ def main(argv: list[str] | None = None) -> int:
     if not arguments.quiet:
         print(_table(report))
     return 0
+
+
+def peak_memory_mb() -> float | None:
+    """The most memory this process had resident so far, MB; None where the system does not tell. (What getrusage gives
+    includes the process that started this one.)"""
+    try:
+        status = Path("/proc/self/status").read_text()
+    except OSError:
+        return None
+    found = re.search(r"VmHWM:\s*(\d+) kB", status)
+    return int(found.group(1)) / 1000 if found else None
 
 
 def clip(motion: Motion, fps: float | None, seconds: float | None, frames: slice | None) -> Motion:
