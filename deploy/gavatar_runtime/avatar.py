@@ -48,14 +48,14 @@ class Avatar:
         if reuse < 1:
             raise UserError(f"reuse={reuse}: give a whole number from 1 up")
         stored, map_surface = self.bundle.surfaces()
-        chosen, growth = (None, 1.0) if uv is None or uv == stored.resolution else thinned(stored, uv)
+        chosen, added = (None, None) if uv is None or uv == stored.resolution else thinned(stored, uv)
         self.surface = stored if chosen is None else _taken(stored, chosen)
         self.joints = self.surface.joints
         self.joint_names, self._rest_pose = self._read_body()
         self.with_normals = False
         self.stage_seconds: dict[str, float] = {}
         self.tier = tier
-        self._tier = self._build_tier(tier, Parts(self.bundle, stored, map_surface, threads, chosen, growth))
+        self._tier = self._build_tier(tier, Parts(self.bundle, stored, map_surface, threads, chosen, added))
         self._reuse, self._faded = reuse, None
         self._static = None
         self._means = [np.empty((len(self.surface), 3), np.float32) for _ in range(3)]

@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from ..bundle import Bundle
+from ..detail import grown
 from ..errors import UserError
 from ..registry import Registry
 from ..residuals import Attributes
@@ -24,14 +25,14 @@ DEFAULT = "full"
 class Parts:
     """What a tier is made from. surface: of all Gaussians that the bundle holds. map_surface: of the positional map,
     None if static. threads: of ONNX Runtime, None for one a core. chosen: which N of the Gaussians are wanted, None for
-    all. growth: what their scales are multiplied by."""
+    all. added: the variance, square metres, that each of those gains (`detail.thinned`)."""
 
     bundle: Bundle
     surface: Surface
     map_surface: Surface | None
     threads: int | None = None
     chosen: np.ndarray | None = None
-    growth: float = 1.0
+    added: np.ndarray | None = None
 
     def __len__(self) -> int:
         """How many Gaussians are wanted, N."""
@@ -40,6 +41,10 @@ class Parts:
     def take(self, rows: np.ndarray) -> np.ndarray:
         """The wanted ones of one row a Gaussian of the bundle."""
         return rows if self.chosen is None else np.ascontiguousarray(rows[self.chosen])
+
+    def grow(self, scales: np.ndarray) -> np.ndarray:
+        """Scales of the wanted Gaussians at the level of detail."""
+        return scales if self.added is None else grown(scales, self.added)
 
     def check(self, attributes: Attributes, member: str) -> Attributes:
         """The attributes; UserError when `member` gave another shape than one row a Gaussian of the bundle."""

@@ -16,7 +16,7 @@ def baked_attributes(parts: Parts):
     offsets, colors, scales = (arrays[k].astype(np.float32) for k in ("offsets", "colors", "scales"))
     parts.check((offsets, colors, scales), MEMBER)
     points, colors, scales = map(parts.take, (parts.surface.points + offsets, colors, scales))
-    return points, colors, scales * np.float32(parts.growth)
+    return points, colors, parts.grow(scales)
 
 
 @PLAYER_TIERS.register("baked", summary="one look for all poses, no network")

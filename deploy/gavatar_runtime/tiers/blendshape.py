@@ -40,7 +40,7 @@ class Blendshape:
         stored = len(arrays["part"])
         self._part = np.ascontiguousarray(parts.take(arrays["part"]), np.uint8)
         self._basis = np.ascontiguousarray(parts.take(arrays["basis"]), np.int8)
-        self._gains = arrays["gains"] * np.array([1] * 6 + [parts.growth, 1], np.float32)
+        self._gains = arrays["gains"]
         self._low, self._high = arrays["low"], arrays["high"]
         self._input_range = arrays["input_low"], arrays["input_high"]
         self._joints = arrays["joints"].astype(int)

@@ -34,7 +34,7 @@ class Coarse:
         self._index = np.ascontiguousarray(parts.take(arrays["index"]), np.int32)
         self._weight = np.ascontiguousarray(parts.take(arrays["weight"]), np.float32)
         self._base = arrays["base"].astype(np.float32)
-        self._ratio = float(arrays["ratio"]) * parts.growth
+        self._ratio = float(arrays["ratio"])
         self._table = np.zeros((len(self._base), 8), np.float32)
         self._out = [empty(len(parts)) for _ in range(3)]
         self._calls = 0

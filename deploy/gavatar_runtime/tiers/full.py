@@ -48,7 +48,7 @@ class Full:
         points = self._parts.surface.points + offsets
         if self._parts.chosen is not None:
             points, colors, scales = map(self._parts.take, (points, colors, scales))
-            scales = scales * np.float32(self._parts.growth)
+            scales = self._parts.grow(scales)
         self.stage_seconds = {"encode": encoded - start, "decode": perf_counter() - encoded}
         return points, colors, scales
 
