@@ -294,11 +294,12 @@ def test_a_budget_makes_frames_cheaper_and_finer_again(bundle):
         return avatar.levels[avatar.level]
 
     assert frames(PATIENCE, 0.02) == (2, None)
+    assert frames(2, 10.0) == (2, None)  # opening a level is slow, and no reason to go on
     assert frames(100, 0.02) == avatar.levels[-1]  # as cheap as it goes, and no further
     assert frames(RECOVERY, 0.008) == avatar.levels[-1]  # within the budget: nothing changes
     assert frames(RECOVERY + 5, 0.002) == avatar.levels[-2]  # a few frames until the running mean follows
     assert frames(500, 0.002) == (1, None)
-    assert sum(level["frames"] for level in avatar.report()) == PATIENCE + 100 + 2 * RECOVERY + 5 + 500
+    assert sum(level["frames"] for level in avatar.report()) == PATIENCE + 2 + 100 + 2 * RECOVERY + 5 + 500
     with pytest.raises(UserError, match="budget of 0 ms"):
         AdaptiveAvatar(bundle, 0.0)
     assert [r for r, _ in AdaptiveAvatar(bundle, 1.0, tier="baked").levels] == [1]  # nothing to reuse

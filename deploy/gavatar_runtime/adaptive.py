@@ -17,6 +17,7 @@ REUSE = (1, 2, 4, 8)
 DETAIL = (0.75, 0.5, 0.375, 0.25)  # of the side of the atlas
 PATIENCE, RECOVERY = 4, 30  # frames over it before it gets cheaper, and well under it before it gets finer
 EASE = 0.6  # of the budget: what a frame must stay under for a finer level to be tried
+SETTLE = 2  # frames after a change that say nothing: one was decoded before it, one opens the new level
 SMOOTHING = 0.3  # of the newest frame in the running mean
 
 
@@ -44,7 +45,7 @@ class AdaptiveAvatar:
         self.with_normals = False
         self.frames: Counter[int] = Counter()  # by level
         self._avatars = {0: self.finest}
-        self._mean, self._over, self._under = 0.0, 0, 0
+        self._mean, self._over, self._under, self._settling = 0.0, 0, 0, 0
 
     def __getattr__(self, name: str):
         if name == "finest":  # not there yet: the constructor failed
@@ -68,13 +69,16 @@ class AdaptiveAvatar:
 
     def frame_took(self, seconds: float) -> None:
         """Note what a frame took and change the level for those to come."""
+        if self._settling:
+            self._settling -= 1
+            return
         self._mean = seconds if not self._mean else (1 - SMOOTHING) * self._mean + SMOOTHING * seconds
         self._over = self._over + 1 if self._mean > self.budget_s else 0
         self._under = self._under + 1 if self._mean < EASE * self.budget_s else 0
         step = (self._over >= PATIENCE) - (self._under >= RECOVERY)
         if step and 0 <= self.level + step < len(self.levels):
             self.level += step
-            self._mean, self._over, self._under = 0.0, 0, 0
+            self._mean, self._over, self._under, self._settling = 0.0, 0, 0, SETTLE
 
     def report(self) -> list[dict]:
         """Frames played at each level that was used, the finest first."""
