@@ -25,7 +25,7 @@ import numpy as np
 from gavatar_runtime.body import BodyData
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.camera_file import read_cameras
-from gavatar_runtime.errors import UserError
+from gavatar_runtime.errors import Faults, UserError, frames_named
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.motions import read_motion
 
@@ -131,19 +131,19 @@ class Capture:
         K = np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]])
         return cv2.undistort(image, K, lens), cv2.undistort(mask, K, lens)
 
-    def missing(self) -> list[str]:
-        """A sentence for every image and mask that the splits name and that is not there."""
+    def missing(self) -> dict[Path, str]:
+        """A sentence for every image and mask that the splits name and that is not there, by the path."""
         faults = {}
         for views in self.splits.values():
             for view in views:
                 for path in (self.image_path(view), self.mask_path(view)):
                     if path not in faults and not path.is_file():
                         faults[path] = f"{path} is missing, though {self.path / self.listing} lists frame {view}"
-        return list(faults.values())
+        return faults
 
     def check(self) -> None:
         """Every image and mask the splits name exists, before any work starts; UserError names the first fault."""
-        for fault in self.missing():
+        for fault in self.missing().values():
             raise UserError(fault)
 
 
@@ -203,10 +203,14 @@ def _splits(
                 views += [View(str(camera), int(n)) for n in numbers]
         except (TypeError, ValueError):
             faults.add(f"{path}: split '{split}' must be a list of [camera, [frame, ...]]")
-        for camera in dict.fromkeys(view.camera for view in views if view.camera not in cameras):
-            faults.add(f"{path}: split '{split}' names camera '{camera}', which cameras.json lacks")
-        for frame in dict.fromkeys(view.frame for view in views if not 0 <= view.frame < frames):
-            faults.add(f"{path}: split '{split}' names frame {frame}, but body.npz has {frames} frames")
+        unknown = [view.camera for view in views if view.camera not in cameras]
+        faults.add_all(
+            (f"{path}: split '{split}' names camera '{camera}', which cameras.json lacks" for camera in unknown),
+            f"cameras of split '{split}'",
+        )
+        outside = {view.frame for view in views if not 0 <= view.frame < frames}
+        if outside:
+            faults.add(f"{path}: split '{split}' names {frames_named(outside)}, but body.npz has {frames} frames")
         splits[split] = views
     if not splits.get("train"):
         raise UserError(f"{path}: split 'train' is missing or empty")
@@ -221,49 +225,21 @@ def _background(first: View, image: Path, mask: Path) -> str:
     return "white" if np.percentile(pixels[alpha == 0], 1) >= 250 else "footage"
 
 
-class Faults:
-    """What is wrong with a capture, sentence by sentence. Alone, the first one ends the reading; a check collects."""
-
-    def __init__(self, collect: bool = False):
-        self.collect, self.sentences = collect, []
-
-    def of(self, read: Callable, *arguments, **options):
-        """What `read` returns, or None when it raises UserError and faults are collected."""
-        try:
-            return read(*arguments, **options)
-        except UserError as error:
-            if not self.collect:
-                raise
-            self.sentences.append(str(error))
-            return None
-
-    def add(self, sentence: str) -> None:
-        """One more fault; raised at once unless they are collected."""
-        self.of(_raise, sentence)
-
-    def stop(self) -> None:
-        """Raise the first fault that was collected: what follows needs what could not be read."""
-        if self.sentences:
-            raise UserError(self.sentences[0])
-
-
-def _raise(sentence: str) -> None:
-    raise UserError(sentence)
-
-
 def _capture_json(path: Path) -> dict:
-    info = _json(path / "capture.json")
+    info, faults = _json(path / "capture.json"), Faults(collect=True)
     version = info.get("version")
+    if isinstance(version, int) and version > CAPTURE_VERSION:
+        raise UserError(
+            f"{path / 'capture.json'} is of format version {version}; this gavatar reads {CAPTURE_VERSION}: upgrade it"
+        )
     if version != CAPTURE_VERSION:
-        if isinstance(version, int) and version > CAPTURE_VERSION:
-            raise UserError(
-                f"{path / 'capture.json'} is of format version {version}; this gavatar reads {CAPTURE_VERSION}: "
-                "upgrade it"
-            )
-        raise UserError(f"{path / 'capture.json'}: version must be {CAPTURE_VERSION}, not {version!r}")
+        faults.add(f"{path / 'capture.json'}: version must be {CAPTURE_VERSION}, not {version!r}")
     background = info.get("background")
     if background and background not in ("white", "footage"):
-        raise UserError(f"{path / 'capture.json'}: background must be 'white' or 'footage', not {background!r}")
+        faults.add(f"{path / 'capture.json'}: background must be 'white' or 'footage', not {background!r}")
+    if not isinstance(info.get("splits") or {}, dict):
+        faults.add(f"{path / 'capture.json'}: splits must be an object of views by split")
+    faults.stop()
     return info
 
 

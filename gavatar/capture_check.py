@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from gavatar_runtime.errors import UserError
+from gavatar_runtime.errors import Faults, UserError
 
 from .build import capture_format, split_node
-from .capture import Capture, Faults
+from .capture import Capture, View
 from .registry import CAPTURES
 
 
@@ -40,19 +40,15 @@ class CaptureCheck:
 def check_capture(path: Path, node: dict | None = None) -> CaptureCheck:
     """Open a capture and read every image and mask that its splits name.
 
-    Found are: files that are missing or damaged, fields that are missing, misshaped or not finite, frames without pose,
-    images and masks of another size than their camera, masks without a person. Raises UserError only when the folder is
-    of no known layout.
+    Found are: files that are missing or damaged, fields that are missing, misshaped or not finite, with the frames
+    where they are, frames without pose, images and masks of another size than their camera, masks without a person. Of
+    more than 20 faults of one kind the rest are counted. Raises UserError only when the folder is of no known layout.
     """
     path = Path(path)
     name, options = split_node(node or {"name": "auto"})
     name = name if name != "auto" else capture_format(path)
     faults, capture = Faults(collect=True), None
-    try:
-        capture = CAPTURES.build(name, options).read(path, faults)
-    except UserError as error:
-        if str(error) not in faults.sentences:
-            faults.sentences.append(str(error))
+    capture = faults.of(CAPTURES.build(name, options).read, path, faults)
     if capture is not None:
         _check_images(capture, faults)
     return CaptureCheck(name, faults.sentences, capture)
@@ -60,10 +56,15 @@ def check_capture(path: Path, node: dict | None = None) -> CaptureCheck:
 
 def _check_images(capture: Capture, faults: Faults) -> None:
     missing = capture.missing()
-    faults.sentences += missing
-    for view in dict.fromkeys(view for views in capture.splits.values() for view in views):
-        if not (capture.image_path(view).is_file() and capture.mask_path(view).is_file()):
-            continue
-        read = faults.of(capture.read, view)
-        if read is not None and not (read[1] > 127).any():
-            faults.add(f"{capture.mask_path(view)} shows no person: the mask of frame {view} is empty")
+    for folder in dict.fromkeys(path.parent for path in missing):
+        lacking = [sentence for path, sentence in missing.items() if path.parent == folder]
+        faults.add_all(lacking, f"files of {folder} are missing")
+
+    def check(view: View) -> None:
+        if {capture.image_path(view), capture.mask_path(view)} & missing.keys():
+            return
+        _, mask = capture.read(view)
+        if not (mask > 127).any():
+            raise UserError(f"{capture.mask_path(view)} shows no person: the mask of frame {view} is empty")
+
+    faults.each(check, dict.fromkeys(view for views in capture.splits.values() for view in views), "views are faulty")

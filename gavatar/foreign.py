@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from gavatar_runtime.camera import Camera
-from gavatar_runtime.errors import UserError
+from gavatar_runtime.errors import Faults, UserError, frames_named
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.safe_pickle import load_npz
 
@@ -23,14 +23,21 @@ def arrays(path: Path, *keys: str) -> dict[str, Any]:
     if not path.is_file():
         raise UserError(f"{path} is missing")
     found = load_npz(path)
-    for key in keys:
-        if key not in found:
-            raise UserError(f"{path}: field '{key}' is missing (it has: {', '.join(sorted(found)) or 'none'})")
+    require(path, found, keys)
     return found
 
 
-def matrix(path: Path, field: str, value: Any, *shapes: tuple[int, ...]) -> np.ndarray:
-    """A finite float64 array of one of `shapes`, a single 1 in front allowed; UserError naming file and field."""
+def require(path: Path, found: dict, keys: tuple[str, ...], where: str = "") -> None:
+    """UserError naming every one of `keys` that a dictionary of fields lacks. where: of the fields within the file."""
+    have = f" (it has: {', '.join(sorted(map(str, found))) or 'none'})"
+    missing = [f"{path}: {where}field '{key}' is missing{have}" for key in keys if key not in found]
+    if missing:
+        raise UserError(*missing)
+
+
+def matrix(path: Path, field: str, value: Any, *shapes: tuple[int, ...], frames: bool = False) -> np.ndarray:
+    """A finite float64 array of one of `shapes`, a single 1 in front allowed; UserError naming file and field.
+    frames: its rows are frames, and those at fault are named."""
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
         raise UserError(f"{path}: {field} holds {array.dtype} values, expected numbers")
@@ -40,9 +47,17 @@ def matrix(path: Path, field: str, value: Any, *shapes: tuple[int, ...]) -> np.n
     if array.shape not in shapes:
         wanted = " or ".join("x".join(map(str, s)) for s in shapes)
         raise UserError(f"{path}: {field} has shape {array.shape}, expected {wanted}")
-    if not np.isfinite(array).all():
-        raise UserError(f"{path}: {field} holds NaN or infinite values")
+    finite = np.isfinite(array)
+    if not finite.all():
+        where = f" at {frames_named(np.flatnonzero(~finite.all(tuple(range(1, array.ndim)))))}" if frames else ""
+        raise UserError(f"{path}: {field} holds NaN or infinite values{where}")
     return array
+
+
+def pose_field(path: Path, name: str, content: dict, shape: tuple[int, ...]) -> np.ndarray:
+    """A field of one frame's parameters, of `shape` however it is nested; UserError naming file and field."""
+    value = np.asarray(content[name])
+    return matrix(path, name, value.reshape(-1) if value.size == np.prod(shape) else value, shape)
 
 
 def camera(
@@ -52,21 +67,34 @@ def camera(
 
     size: width, height. shift: pixels added to the principal point: 0.5 where the data set counts from pixel centres
     (OpenCV), 0 where it counts from the image's corner. names: of the two fields, for messages.
+    Raises UserError, of both where both are at fault.
     """
-    K, T = matrix(path, names[0], K, (3, 3), (4, 4)), matrix(path, names[1], T, (4, 4), (3, 4))
+    faults = Faults(collect=True)
+    K, world_to_camera = faults.of(_intrinsic, path, names[0], K), faults.of(_extrinsic, path, names[1], T)
+    faults.stop()
+    width, height = size
+    return Camera(width, height, K[0, 0], K[1, 1], K[0, 2] + shift, K[1, 2] + shift, world_to_camera)
+
+
+def _intrinsic(path: Path, name: str, K: Any) -> np.ndarray:
+    K = matrix(path, name, K, (3, 3), (4, 4))
     if not (K[0, 0] > 0 and K[1, 1] > 0):
-        raise UserError(f"{path}: {names[0]}: focal lengths must be positive, not {K[0, 0]:g} and {K[1, 1]:g}")
+        raise UserError(f"{path}: {name}: focal lengths must be positive, not {K[0, 0]:g} and {K[1, 1]:g}")
     if abs(K[0, 1]) > 1e-3 * K[0, 0]:
-        raise UserError(f"{path}: {names[0]} has a skew of {K[0, 1]:g}: only upright pixels are read")
+        raise UserError(f"{path}: {name} has a skew of {K[0, 1]:g}: only upright pixels are read")
+    return K
+
+
+def _extrinsic(path: Path, name: str, T: Any) -> np.ndarray:
+    T = matrix(path, name, T, (4, 4), (3, 4))
     world_to_camera = np.eye(4)
     world_to_camera[:3] = T[:3]
     R = world_to_camera[:3, :3]
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
-        raise UserError(f"{path}: {names[1]} is no rigid motion: its first three columns are not a rotation")
+        raise UserError(f"{path}: {name} is no rigid motion: its first three columns are not a rotation")
     U, _, Vt = np.linalg.svd(R)  # calibration files round: the nearest rotation
     world_to_camera[:3, :3] = U @ Vt
-    width, height = size
-    return Camera(width, height, K[0, 0], K[1, 1], K[0, 2] + shift, K[1, 2] + shift, world_to_camera)
+    return world_to_camera
 
 
 def images_of(folder: Path, suffixes: tuple[str, ...] = IMAGES) -> list[Path]:

@@ -75,7 +75,7 @@ def test_hand_coefficients_are_left_out_with_a_warning_that_names_them(tmp_path)
     [
         ({"global_orient": numbers(2, 3), "body_pose": numbers(2, 60)}, "body_pose holds 60 numbers a frame"),
         ({"global_orient": numbers(2, 4), "body_pose": numbers(2, 63)}, "global_orient holds 4 numbers"),
-        ({"global_orient": numbers(3, 3), "body_pose": numbers(2, 63)}, "2 and 3 frames"),
+        ({"global_orient": numbers(3, 3), "body_pose": numbers(2, 63)}, "body_pose has 2 frames and global_orient 3"),
         ({"body_pose": numbers(2, 63)}, "'poses' is missing"),
         ({"global_orient": numbers(0, 3), "body_pose": numbers(0, 63)}, "no frame"),
         ({"global_orient": numbers(2, 3), "body_pose": np.full((2, 63), np.nan)}, "body_pose holds NaN"),
@@ -407,7 +407,7 @@ FAULTS = {
     "no frame time": (lambda t: t.replace("Frame Time: ", "Frame Time: 0 "), "positive"),
     "an unknown channel": (lambda t: t.replace("Zrotation", "Wrotation", 1), "CHANNELS needs"),
     "an offset of two": (lambda t: t.replace("OFFSET 0.000000 95.000000 0.000000", "OFFSET 0 95"), "OFFSET needs"),
-    "a NaN": (lambda t: t.rstrip().rsplit(" ", 1)[0] + " nan\n", "NaN .* first at frame 1"),
+    "a NaN": (lambda t: t.rstrip().rsplit(" ", 1)[0] + " nan\n", "NaN .* at frame 1"),
     "a word among the numbers": (lambda t: t.rstrip().rsplit(" ", 1)[0] + " x\n", "not a number"),
     "a stray word": (lambda t: t.replace("JOINT Spine\n", "BONE Spine\n"), "'BONE' is not a word"),
 }

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import UserError
+from .errors import UserError, frames_named
 from .rotations import matrix_from_axis_angle
 
 CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
@@ -175,7 +175,7 @@ class _Parser:
             raise UserError(f"{self.path}: MOTION holds something that is not a number") from None
         bad = ~np.isfinite(values).all(1)
         if bad.any():
-            raise UserError(f"{self.path}: MOTION holds NaN or infinite values, first at frame {int(np.argmax(bad))}")
+            raise UserError(f"{self.path}: MOTION holds NaN or infinite values at {frames_named(np.flatnonzero(bad))}")
         joints, place = len(self.names), 0
         rotations = np.broadcast_to(np.eye(3), (count, joints, 3, 3)).copy()
         root = np.tile(np.asarray(self.offsets[0]), (count, 1))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from .camera import Camera
-from .errors import UserError, did_you_mean
+from .errors import Faults, UserError, did_you_mean
 
 FIELDS = ("width", "height", "fx", "fy", "cx", "cy", "world_to_camera")
 
@@ -43,7 +43,8 @@ def read_cameras(path: str | os.PathLike, fault: Callable[[str], None] | None = 
         except UserError as error:
             if fault is None:
                 raise
-            fault(str(error))
+            for sentence in error.sentences:
+                fault(sentence)
     return cameras
 
 
@@ -64,18 +65,29 @@ def read_camera(source: str) -> Camera:
 def _camera(path: Path, name: str, entry: object) -> Camera:
     if not isinstance(entry, dict):
         raise UserError(f"{path}: camera '{name}' must be an object with the fields {', '.join(FIELDS)}")
-    for field in FIELDS:
-        if field not in entry:
-            raise UserError(f"{path}: camera '{name}' has no field '{field}'")
+    missing = [f"{path}: camera '{name}' has no field '{field}'" for field in FIELDS if field not in entry]
+    if missing:
+        raise UserError(*missing)
+    faults = Faults(collect=True)
+    values = {field: faults.of(_number, path, name, field, entry[field]) for field in FIELDS[:-1]}
     try:
-        numbers = {k: float(entry[k]) for k in FIELDS[:-1]}
         T = np.asarray(entry["world_to_camera"], np.float64)
-    except (TypeError, ValueError) as error:
-        raise UserError(f"{path}: camera '{name}' has a field of the wrong type ({error})") from None
+    except (TypeError, ValueError):
+        T = np.zeros(0)
     if T.shape != (4, 4) or not np.isfinite(T).all():
-        raise UserError(f"{path}: camera '{name}': world_to_camera must be one finite 4x4 matrix")
-    finite = all(np.isfinite(v) for v in numbers.values())
-    if not finite or min(numbers["width"], numbers["height"]) < 1 or not min(numbers["fx"], numbers["fy"]) > 0:
-        raise UserError(f"{path}: camera '{name}': width, height, fx and fy must be positive and cx, cy finite")
-    width, height = int(numbers.pop("width")), int(numbers.pop("height"))
-    return Camera(width, height, **numbers, T_camera_world=T)
+        faults.add(f"{path}: camera '{name}': world_to_camera must be one finite 4x4 matrix")
+    faults.stop()
+    width, height = int(values.pop("width")), int(values.pop("height"))
+    return Camera(width, height, **values, T_camera_world=T)
+
+
+def _number(path: Path, name: str, field: str, value: object) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise UserError(f"{path}: camera '{name}': {field} is of the wrong type, expected a number") from None
+    least = {"width": 1, "height": 1, "fx": 1e-12, "fy": 1e-12}.get(field, -np.inf)
+    if not (np.isfinite(number) and number >= least):
+        kind = "positive" if field in ("width", "height", "fx", "fy") else "finite"
+        raise UserError(f"{path}: camera '{name}': {field} must be {kind}, not {number:g}")
+    return number

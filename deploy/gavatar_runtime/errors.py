@@ -6,13 +6,90 @@ import difflib
 import functools
 import sys
 from collections.abc import Callable, Iterable
+from typing import Any
+
+MOST_NAMED = 20  # faults of one kind, or frames of one fault, that a message names before it counts the rest
 
 
 class UserError(Exception):
     """Something the user can mend: the message names the file or field and the fix, in one sentence.
 
-    Commands print it without a traceback and exit with code 2; anything else is a bug and keeps its traceback.
+    sentences: all that is wrong, the message first, where a reader went on after the first fault. Commands print the
+    message without a traceback and exit with code 2; anything else is a bug and keeps its traceback.
     """
+
+    def __init__(self, *sentences: str):
+        super().__init__(*sentences[:1])
+        self.sentences = sentences
+
+
+class Faults:
+    """What is wrong with the user's data, sentence by sentence. Alone, the first one ends the reading; a check
+    collects."""
+
+    def __init__(self, collect: bool = False):
+        self.collect, self.sentences = collect, []
+
+    def of(self, read: Callable, *arguments: Any, **options: Any) -> Any:
+        """What `read` returns, or None when it raises UserError and faults are collected."""
+        try:
+            return read(*arguments, **options)
+        except UserError as error:
+            if not self.collect:
+                raise
+            self.sentences += [sentence for sentence in error.sentences if sentence not in self.sentences]
+            return None
+
+    def each(self, read: Callable, items: Iterable, more: str) -> list | None:
+        """`read` of every item; None when any of them failed and faults are collected: the first 20 are then named,
+        and `more` says what the others are, as in "and 7 more files of params/ are faulty"."""
+        found = [(Faults(self.collect), item) for item in items]
+        values = [faults.of(read, item) for faults, item in found]
+        failed = [faults.sentences for faults, _ in found if faults.sentences]
+        for sentences in failed[:MOST_NAMED]:
+            self.sentences += [sentence for sentence in sentences if sentence not in self.sentences]
+        if len(failed) > MOST_NAMED:
+            self.sentences.append(f"and {len(failed) - MOST_NAMED} more {more}")
+        return None if failed else values
+
+    def add(self, *sentences: str) -> None:
+        """More faults; the first is raised at once unless they are collected."""
+        self.of(_raise, *sentences)
+
+    def add_all(self, sentences: Iterable[str], more: str) -> None:
+        """As `add`, the first 20 of them, and `more` for the rest, as `each` has it."""
+        sentences = list(dict.fromkeys(sentences))
+        if sentences:
+            rest = len(sentences) - MOST_NAMED
+            self.add(*sentences[:MOST_NAMED], *([f"and {rest} more {more}"] if rest > 0 else []))
+
+    def stop(self) -> None:
+        """Raise the faults that were collected: what follows needs what could not be read."""
+        if self.sentences:
+            raise UserError(*self.sentences)
+
+
+def _raise(*sentences: str) -> None:
+    raise UserError(*sentences)
+
+
+def listed(numbers: Iterable[int]) -> str:
+    """Ascending whole numbers for a message: `3, 5, 7 to 12`; after 20 of these the rest are counted."""
+    runs: list[list[int]] = []
+    for number in sorted(int(n) for n in numbers):
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    named = [f"{a}" if a == b else f"{a} to {b}" if b > a + 1 else f"{a}, {b}" for a, b in runs[:MOST_NAMED]]
+    rest = sum(b - a + 1 for a, b in runs[MOST_NAMED:])
+    return ", ".join(named) + (f" and {rest} more" if rest else "")
+
+
+def frames_named(numbers: Iterable[int]) -> str:
+    """`frame 3` or `frames 3, 5, 7 to 12`."""
+    numbers = list(numbers)
+    return f"frame{'s' if len(numbers) > 1 else ''} {listed(numbers)}"
 
 
 def did_you_mean(name: str, choices: Iterable[str]) -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from gavatar.build import capture_format
-from gavatar.capture import Capture, Faults
+from gavatar.capture import Capture
 from gavatar.registry import CAPTURES, NoOptions
+from gavatar_runtime.errors import Faults
 
 
 @CAPTURES.register("auto", summary="the first registered layout that recognises the folder")

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gavatar.capture import Capture, Faults, read_capture
+from gavatar.capture import Capture, read_capture
 from gavatar.registry import CAPTURES, NoOptions
+from gavatar_runtime.errors import Faults
 
 
 @CAPTURES.register("gavatar", summary="gavatar's own layout: capture.json, cameras.json, images/, masks/, body.npz")

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gavatar.capture import Capture, Faults, View, read_gray
+from gavatar.capture import Capture, View, read_gray
 from gavatar.foreign import arrays, camera, check_motion, every_tenth, images_of, matrix, npy_mask
 from gavatar.placement import Placement, upright
 from gavatar.registry import CAPTURES
-from gavatar_runtime.errors import UserError
+from gavatar_runtime.errors import Faults, UserError, frames_named
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.motions import read_motion
 
@@ -73,6 +73,8 @@ class InstantAvatarCapture:
             faults.add(f"{path / 'masks'} holds {len(masks)} masks, but {path / 'images'} holds {len(images)} images")
         splits = faults.of(self._splits, path, len(images)) if images else None
         motion = faults.of(self._motion, path, splits, len(images)) if splits else None
+        if splits is None and _whole_file(path) is not None:
+            faults.of(self._whole, _whole_file(path), 0)
         faults.stop()
         placement = Placement(motion, "smpl", upright(motion.poses))
         return Capture(
@@ -115,12 +117,12 @@ class InstantAvatarCapture:
         return splits
 
     def _motion(self, path: Path, splits: dict[str, list[View]], frames: int) -> Motion:
-        whole = next((p for n in ("poses_optimized.npz", "poses.npz") if (p := path / n).is_file()), None)
-        motion = None
+        whole = _whole_file(path)
+        motion, faults = None, Faults(collect=True)
         if whole is not None:
-            motion = read_motion(whole, up="y", fps=self.config.fps)
-            check_motion(whole, motion, frames)
-        refined = self._refined(path, splits) if self.config.refined_poses else {}
+            motion = faults.of(self._whole, whole, frames)
+        refined = faults.of(self._refined, path, splits) if self.config.refined_poses else {}
+        faults.stop()
         if motion is None:
             motion = _between(refined, splits, frames, path, self.config.fps)
         poses, trans, betas = motion.poses.copy(), motion.trans.copy(), motion.betas
@@ -133,20 +135,29 @@ class InstantAvatarCapture:
             raise UserError(f"{whole or path / 'poses'}: field 'betas' is missing")
         return dataclasses.replace(motion, poses=poses, trans=trans, betas=betas)
 
+    def _whole(self, file: Path, frames: int) -> Motion:
+        motion = read_motion(file, up="y", fps=self.config.fps)
+        check_motion(file, motion, frames)
+        return motion
+
     def _refined(self, path: Path, splits: dict[str, list[View]]) -> dict[str, Motion]:
-        found = {}
+        found, faults = {}, Faults(collect=True)
         for split in SPLITS:
             names = (f"poses/anim_nerf_{split}.npz", f"poses/{split}.npz")
             file = next((path / n for n in names if (path / n).is_file()), None)
             if file is None or not splits.get(split):
                 continue
-            motion = read_motion(file, up="y", fps=self.config.fps)
-            if len(motion) != len(splits[split]):
-                raise UserError(
-                    f"{file} has poses of {len(motion)} frames, but split '{split}' has {len(splits[split])}"
-                )
+            motion = faults.of(read_motion, file, up="y", fps=self.config.fps)
+            if motion is not None and len(motion) != len(splits[split]):
+                faults.add(f"{file} has poses of {len(motion)} frames, but split '{split}' has {len(splits[split])}")
             found[split] = motion
+        faults.stop()
         return found
+
+
+def _whole_file(path: Path) -> Path | None:
+    """The poses of all frames, where they lie."""
+    return next((p for n in ("poses_optimized.npz", "poses.npz") if (p := path / n).is_file()), None)
 
 
 def _between(refined: dict[str, Motion], splits, frames: int, path: Path, fps: float) -> Motion:
@@ -154,9 +165,9 @@ def _between(refined: dict[str, Motion], splits, frames: int, path: Path, fps: f
     rows = {v.frame: (m.poses[i], m.trans[i]) for s, m in refined.items() for i, v in enumerate(splits[s])}
     if not rows:
         raise UserError(f"{path / 'poses.npz'} is missing, and so is poses_optimized.npz")
-    owed = next((v for s in splits for v in splits[s] if v.frame not in rows), None)
-    if owed is not None:
-        raise UserError(f"{path / 'poses.npz'} is missing, and poses/ has no pose of frame {owed.frame}")
+    owed = {view.frame for views in splits.values() for view in views if view.frame not in rows}
+    if owed:
+        raise UserError(f"{path / 'poses.npz'} is missing, and poses/ has no pose of {frames_named(owed)}")
     known = np.array(sorted(rows))
     nearest = known[np.clip(np.searchsorted(known, np.arange(frames)), 0, len(known) - 1)]
     return Motion(np.stack([rows[f][0] for f in nearest]), np.stack([rows[f][1] for f in nearest]), fps, None)
@@ -164,7 +175,15 @@ def _between(refined: dict[str, Motion], splits, frames: int, path: Path, fps: f
 
 def _camera(path: Path):
     values = arrays(path, "intrinsic", "extrinsic", "height", "width")
-    size = tuple(int(matrix(path, key, values[key], ())) for key in ("width", "height"))
-    if min(size) < 1:
-        raise UserError(f"{path}: width and height must be positive")
-    return camera(path, values["intrinsic"], values["extrinsic"], size, shift=0.5)
+    faults = Faults(collect=True)
+    width, height = (faults.of(_pixels, path, key, values[key]) for key in ("width", "height"))
+    made = faults.of(camera, path, values["intrinsic"], values["extrinsic"], (width or 1, height or 1), shift=0.5)
+    faults.stop()
+    return made
+
+
+def _pixels(path: Path, key: str, value: np.ndarray) -> int:
+    pixels = int(matrix(path, key, value, ()))
+    if pixels < 1:
+        raise UserError(f"{path}: {key} must be positive, not {pixels}")
+    return pixels

@@ -8,12 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gavatar.capture import Capture, Faults, View, read_image
-from gavatar.foreign import camera, matrix
+from gavatar.capture import Capture, View, read_image
+from gavatar.foreign import camera, matrix, require
 from gavatar.placement import Placement, levelled
 from gavatar.registry import CAPTURES
 from gavatar_runtime.camera import Camera
-from gavatar_runtime.errors import UserError
+from gavatar_runtime.errors import Faults, UserError
 from gavatar_runtime.joblib_file import load_joblib
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
@@ -59,11 +59,11 @@ class NeuManCapture:
         """Open the capture; UserError when malformed, after all faults were collected if `faults` does."""
         path, faults = Path(path), faults or Faults()
         colmap = faults.of(_colmap, path / "sparse")
-        alignments = faults.of(_alignments, path / "alignments.npy", sorted(colmap) if colmap else [])
-        poses = faults.of(self._poses, path, sorted(colmap) if colmap else [])
-        splits = faults.of(_splits, path, sorted(colmap)) if colmap else None
+        names = sorted(colmap or {})
+        alignments = faults.of(_alignments, path / "alignments.npy", names)
+        poses = faults.of(self._poses, path, names)
+        splits = faults.of(_splits, path, names) if colmap else None
         faults.stop()
-        names = sorted(colmap)
         placement, scale = _placement(poses, alignments, self.config.fps)
         moving = {}
         for f, name in enumerate(names):
@@ -100,20 +100,33 @@ class NeuManCapture:
         person = next(iter(content.values())) if isinstance(content, dict) and len(content) == 1 else None
         if not isinstance(person, dict):
             raise UserError(f"{file} must hold one person: a dictionary of pose and betas")
-        for field in ("pose", "betas"):
-            if field not in person:
-                raise UserError(f"{file}: field '{field}' is missing")
-        pose, betas = np.asarray(person["pose"]), np.asarray(person["betas"])
-        if pose.ndim != 2 or pose.shape[1] != 72:
-            raise UserError(f"{file}: pose has shape {pose.shape}, expected (T, 72)")
-        rows = []
-        for name in names:
-            number = Path(name).stem
-            if not number.isdigit() or int(number) >= len(pose):
-                raise UserError(f"{file} has poses of {len(pose)} frames, but there is an image '{name}'")
-            rows.append(int(number))
-        betas = matrix(file, "betas", betas, (len(pose), betas.shape[-1])).mean(0)
-        return matrix(file, "pose", pose, pose.shape)[rows], betas
+        require(file, person, ("pose", "betas"))
+        faults = Faults(collect=True)
+        pose = faults.of(_frames_of, file, "pose", person["pose"], 72)
+        betas = faults.of(_frames_of, file, "betas", person["betas"], None)
+        rows = [int(Path(name).stem) if Path(name).stem.isdigit() else -1 for name in names]
+        if pose is not None:
+            faults.add_all(
+                (
+                    f"{file} has poses of {len(pose)} frames, but there is an image '{name}'"
+                    for name, row in zip(names, rows, strict=True)
+                    if not 0 <= row < len(pose)
+                ),
+                "images without pose",
+            )
+        counts = [len(np.atleast_1d(person[field])) for field in ("pose", "betas")]
+        if counts[0] != counts[1]:
+            faults.add(f"{file}: betas has {counts[1]} frames and pose {counts[0]}: they must agree")
+        faults.stop()
+        return pose[rows], betas.mean(0)
+
+
+def _frames_of(file: Path, field: str, value, width: int | None) -> np.ndarray:
+    """(T, width) float64, any width if None; at least one frame."""
+    value = np.asarray(value)
+    if value.ndim != 2 or not len(value) or (width is not None and value.shape[1] != width):
+        raise UserError(f"{file}: {field} has shape {value.shape}, expected (T, {width or 10})")
+    return matrix(file, field, value, value.shape, frames=True)
 
 
 def _placement(poses, alignments: np.ndarray, fps: float) -> tuple[Placement, np.ndarray]:
@@ -133,44 +146,68 @@ def _alignments(path: Path, names: list[str]) -> np.ndarray:
     content = load_npy(path)
     if not isinstance(content, dict):
         raise UserError(f"{path} must hold a dictionary {{image name: (4, 3)}}")
-    rows = []
-    for name in names:
+
+    def alignment(name: str) -> np.ndarray:
         if name not in content:
             raise UserError(f"{path} has no alignment of image '{name}'")
-        rows.append(matrix(path, name, content[name], (4, 3)))
-        linear = rows[-1][:3]
+        value = matrix(path, name, content[name], (4, 3))
+        linear = value[:3]
         scale = np.cbrt(max(np.linalg.det(linear), 0))
         if not scale > 0 or np.abs(linear @ linear.T / scale**2 - np.eye(3)).max() > 1e-2:
             raise UserError(f"{path}: {name} is no turn with one positive scale")
+        return value
+
+    faults = Faults(collect=True)
+    rows = faults.each(alignment, names or sorted(map(str, content)), f"alignments of {path} are missing or faulty")
+    faults.stop()
     return np.stack(rows) if rows else np.zeros((0, 4, 3))
 
 
 def _colmap(folder: Path) -> dict[str, Camera]:
     """The camera of every image, by the image's name, from COLMAP's text files."""
-    lenses: dict[str, tuple[tuple[int, int], np.ndarray]] = {}
-    path = folder / "cameras.txt"
-    for number, words in _lines(path):
+    faults, path = Faults(collect=True), folder / "images.txt"
+    lenses = faults.of(_lenses, folder / "cameras.txt")
+    lines = faults.of(lambda: [line for line in _lines(path) if _names_image(line[1])])
+
+    def image(line: tuple[int, list[str]]) -> tuple[str, Camera]:
+        number, words = line
+        values = _floats(path, number, words[1:8])
+        if lenses is not None and words[8] not in lenses:
+            raise UserError(f"{path}, line {number}: camera {words[8]} is not in cameras.txt")
+        if Path(words[9]).name != words[9]:
+            raise UserError(f"{path}, line {number}: image name '{words[9]}' is not a plain name")
+        size, K = ((1, 1), np.eye(3)) if lenses is None else lenses[words[8]]
+        T = np.c_[matrix_from_quaternion(values[:4]), values[4:]]
+        return words[9], camera(path, K, T, size, shift=0.0, names=("cameras.txt", words[9]))
+
+    if lines == []:
+        faults.add(f"{path} lists no image")
+    cameras = faults.each(image, lines or (), f"lines of {path} are faulty")
+    faults.stop()
+    return dict(cameras)
+
+
+def _lenses(path: Path) -> dict[str, tuple[tuple[int, int], np.ndarray]]:
+    """Size and matrix of every camera of cameras.txt, by its number."""
+
+    def lens(line: tuple[int, list[str]]) -> tuple[str, tuple]:
+        number, words = line
         model = words[1] if len(words) > 1 else ""
         if model not in MODELS or len(words) < 4 + MODELS[model]:
             raise UserError(f"{path}, line {number}: expected ID MODEL WIDTH HEIGHT PARAMETERS of {', '.join(MODELS)}")
         values = _floats(path, number, words[2:])
         fx, fy, cx, cy = values[2], *(values[3:6] if model in ("PINHOLE", "OPENCV") else values[[2, 3, 4]])
-        lenses[words[0]] = (int(values[0]), int(values[1])), np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    path, cameras = folder / "images.txt", {}
-    for number, words in _lines(path):
-        if len(words) != 10 or not words[9].lower().endswith((".png", ".jpg", ".jpeg")):
-            continue  # the points of the image before
-        values = _floats(path, number, words[1:8])
-        if words[8] not in lenses:
-            raise UserError(f"{path}, line {number}: camera {words[8]} is not in cameras.txt")
-        if Path(words[9]).name != words[9]:
-            raise UserError(f"{path}, line {number}: image name '{words[9]}' is not a plain name")
-        size, K = lenses[words[8]]
-        T = np.c_[matrix_from_quaternion(values[:4]), values[4:]]
-        cameras[words[9]] = camera(path, K, T, size, shift=0.0, names=("cameras.txt", words[9]))
-    if not cameras:
-        raise UserError(f"{path} lists no image")
-    return cameras
+        return words[0], ((int(values[0]), int(values[1])), np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]))
+
+    faults = Faults(collect=True)
+    lenses = faults.each(lens, list(_lines(path)), f"lines of {path} are faulty")
+    faults.stop()
+    return dict(lenses)
+
+
+def _names_image(words: list[str]) -> bool:
+    """Whether a line of images.txt is that of an image; the others are the points of the image before."""
+    return len(words) == 10 and words[9].lower().endswith((".png", ".jpg", ".jpeg"))
 
 
 def _lines(path: Path):
@@ -184,22 +221,27 @@ def _lines(path: Path):
 
 def _floats(path: Path, number: int, words: list[str]) -> np.ndarray:
     try:
-        return np.array([float(w) for w in words])
+        values = np.array([float(w) for w in words])
     except ValueError:
-        raise UserError(f"{path}, line {number}: a number is malformed") from None
+        values = np.array([np.nan])
+    if not np.isfinite(values).all():
+        raise UserError(f"{path}, line {number}: a number is malformed")
+    return values
 
 
 def _splits(path: Path, names: list[str]) -> dict[str, list[View]]:
     frame = {name: f for f, name in enumerate(names)}
-    splits = {}
+    splits, faults = {}, Faults(collect=True)
     for split in SPLITS:
         file = path / f"{split}_split.txt"
         if file.is_file():
             listed = [line.strip() for line in file.read_text(encoding="utf-8").splitlines() if line.strip()]
-            unknown = [name for name in listed if name not in frame]
-            if unknown:
-                raise UserError(f"{file} names image '{unknown[0]}', which sparse/images.txt lacks")
-            splits[split] = [View(CAM, frame[name]) for name in listed]
+            faults.add_all(
+                (f"{file} names image '{name}', which sparse/images.txt lacks" for name in listed if name not in frame),
+                f"images of {file}",
+            )
+            splits[split] = [View(CAM, frame[name]) for name in listed if name in frame]
+    faults.stop()
     if splits.get("train"):
         return splits
     count = len(names) // 5

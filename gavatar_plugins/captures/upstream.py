@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gavatar.capture import Capture, Faults, View
+from gavatar.capture import Capture, View
 from gavatar.foreign import IMAGES, arrays, camera, check_motion, image_size, images_of
 from gavatar.placement import Placement, upright
 from gavatar.registry import CAPTURES
 from gavatar_runtime.camera import Camera
-from gavatar_runtime.errors import UserError
+from gavatar_runtime.errors import Faults, UserError
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.motions import read_motion
 
@@ -84,14 +84,13 @@ class UpstreamCapture:
     def _part(self, folder: Path, faults: Faults) -> _Part | None:
         images = faults.of(images_of, folder / "images")
         motion = faults.of(read_motion, folder / self.config.parameters, up="y", fps=self.config.fps)
-        if images is None or motion is None:
-            return None
-        faults.of(check_motion, folder / self.config.parameters, motion, len(images))
-        cameras = faults.of(_cameras, folder, images)
-        masks = faults.of(_masks, folder, images)
-        if motion.betas is None:
+        if images is not None and motion is not None:
+            faults.of(check_motion, folder / self.config.parameters, motion, len(images))
+        cameras = faults.of(_cameras, folder, images) if images else None
+        masks = faults.of(_masks, folder, images) if images else None
+        if motion is not None and motion.betas is None:
             faults.add(f"{folder / self.config.parameters}: field 'beta' is missing")
-        if cameras is None or masks is None:
+        if images is None or motion is None or cameras is None or masks is None:
             return None
         return _Part(images, masks, cameras, motion)
 
@@ -138,7 +137,11 @@ def _cameras(folder: Path, images: list[Path]) -> list[Camera]:
         return [read(static)] * len(images)
     if not (folder / "cam_parms").is_dir():
         raise UserError(f"{static} is missing, and so is {folder / 'cam_parms'}/ of a moving camera")
-    return [read(folder / "cam_parms" / f"{image.stem}.npz") for image in images]
+    faults = Faults(collect=True)
+    files = [folder / "cam_parms" / f"{image.stem}.npz" for image in images]
+    cameras = faults.each(read, files, f"files of {folder / 'cam_parms'} are faulty")
+    faults.stop()
+    return cameras
 
 
 def _masks(folder: Path, images: list[Path]) -> list[Path]:

@@ -9,12 +9,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from gavatar.capture import Capture, Faults, View, read_image
-from gavatar.foreign import camera, image_size, matrix
+from gavatar.capture import Capture, View, read_image
+from gavatar.foreign import camera, image_size, matrix, pose_field, require
 from gavatar.placement import Placement, upright
 from gavatar.registry import CAPTURES
 from gavatar_runtime.camera import Camera
-from gavatar_runtime.errors import UserError
+from gavatar_runtime.errors import Faults, UserError
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from gavatar_runtime.safe_pickle import load_npy
@@ -64,10 +64,9 @@ class ZjuCapture:
         content = faults.of(_annots, annots)
         faults.stop()
         frames = faults.of(_frames, annots, content, len(content["cams"]["K"]))
-        faults.stop()
-        size = faults.of(image_size, path / frames[0][0])
-        cameras = faults.of(_cameras, annots, content["cams"], size) if size else None
-        chosen = faults.of(self._chosen, path, frames)
+        size = faults.of(image_size, path / frames[0][0]) if frames else None
+        cameras = faults.of(_cameras, annots, content["cams"], size or (1, 1))
+        chosen = faults.of(self._chosen, path, frames) if frames else None
         placed = faults.of(self._motion, path, frames, chosen) if chosen else None
         faults.stop()
         placement, rows = placed
@@ -120,11 +119,18 @@ class ZjuCapture:
     def _motion(self, path: Path, frames: list, chosen: tuple[int, int, list[int]]) -> tuple[Placement, int]:
         """The placement, and how many of the chosen frames have parameters: those after the last are left out."""
         folder = self._params(path)
-        files = [folder / f"{_number(frames[f][0], path.resolve().name)}.npy" for f in chosen[2]]
-        there = next((i for i, file in enumerate(files) if not file.is_file()), len(files))
-        if there < chosen[0]:
-            raise UserError(f"{files[there]} is missing, though annots.npy lists {frames[chosen[2][there]][0]}")
-        rows = [_parameters(file) for file in files[:there]]
+        images, faults = [frames[f][0] for f in chosen[2]], Faults(collect=True)
+        numbers = faults.each(lambda image: _number(image, path.resolve().name), images, "images without number")
+        faults.stop()
+        files = [folder / f"{number}.npy" for number in numbers]
+        # parameters may end before the frames for novel poses do; those of training frames are owed
+        there = next((i for i, file in enumerate(files) if i >= chosen[0] and not file.is_file()), len(files))
+
+        def parameters(i: int) -> tuple[np.ndarray, ...]:
+            return _parameters(files[i], f"annots.npy lists {images[i]}")
+
+        rows = faults.each(parameters, range(there), f"files of {folder} are faulty")
+        faults.stop()
         poses, Rh, Th, shapes = (np.stack([row[i] for row in rows]) for i in range(4))
         pivots = matrix_from_axis_angle(Rh)
         poses = poses.reshape(there, -1, 3)
@@ -161,14 +167,22 @@ class ZjuCapture:
 
 def _annots(path: Path) -> dict:
     content = load_npy(path)
-    if not isinstance(content, dict) or not isinstance(content.get("cams"), dict):
-        raise UserError(f"{path}: field 'cams' is missing: expected a dictionary of cams and ims")
-    for field in ("K", "D", "R", "T"):
-        if field not in content["cams"]:
-            raise UserError(f"{path}: cams: field '{field}' is missing")
-        if len(content["cams"][field]) != len(content["cams"]["K"]) or not len(content["cams"]["K"]):
-            raise UserError(f"{path}: cams: {field} holds {len(content['cams'][field])} cameras, K "
-                            f"{len(content['cams']['K'])}")  # fmt: skip
+    fields = ("cams", "ims")
+    missing = [] if isinstance(content, dict) else fields
+    missing = missing or [f for f in fields if f not in content or (f == "cams" and not isinstance(content[f], dict))]
+    if missing:
+        raise UserError(*(f"{path}: field '{f}' is missing: expected a dictionary of cams and ims" for f in missing))
+    cams, fields = content["cams"], ("K", "D", "R", "T")
+    require(path, cams, fields, "cams: ")
+    counts = {field: len(cams[field]) if hasattr(cams[field], "__len__") else 0 for field in fields}
+    most = max(counts.values())
+    faulty = [
+        f"{path}: cams: {field} holds {counts[field]} cameras" + (f", others {most}" if most else "")
+        for field in fields
+        if counts[field] != most or most == 0
+    ]
+    if faulty:
+        raise UserError(*faulty)
     return content
 
 
@@ -177,27 +191,43 @@ def _frames(path: Path, content: dict, cameras: int) -> list[list[str]]:
     entries = content.get("ims")
     if entries is None or not len(entries):
         raise UserError(f"{path}: field 'ims' is missing or empty")
-    frames = []
-    for i, entry in enumerate(entries):
-        names = entry.get("ims") if isinstance(entry, dict) else None
+
+    def frame(i: int) -> list[str]:
+        names = entries[i].get("ims") if isinstance(entries[i], dict) else None
         if names is None or len(names) != cameras:
             raise UserError(f"{path}: ims: frame {i} must list {cameras} images, one a camera")
-        frames.append([str(name) for name in names])
-        for name in frames[-1]:
-            if Path(name).is_absolute() or ".." in Path(name).parts:
-                raise UserError(f"{path}: ims: frame {i} names '{name}', which lies outside of the capture")
+        names = [str(name) for name in names]
+        outside = [name for name in names if Path(name).is_absolute() or ".." in Path(name).parts]
+        if outside:
+            raise UserError(
+                *(f"{path}: ims: frame {i} names '{name}', which lies outside of the capture" for name in outside)
+            )
+        return names
+
+    faults = Faults(collect=True)
+    frames = faults.each(frame, range(len(entries)), f"frames of ims in {path} are faulty")
+    faults.stop()
     return frames
 
 
 def _cameras(path: Path, cams: dict[str, Any], size: tuple[int, int]) -> dict[str, Camera]:
-    out = {}
-    for i in range(len(cams["K"])):
-        R = matrix(path, f"cams: R of camera {i}", cams["R"][i], (3, 3))
-        T = matrix(path, f"cams: T of camera {i}", np.reshape(cams["T"][i], -1), (3,)) / 1000
-        names = (f"cams: K of camera {i}", f"cams: R of camera {i}")
-        out[str(i)] = camera(path, cams["K"][i], np.c_[R, T], size, shift=0.5, names=names)
-        _lens(path, cams, i)
-    return out
+    def one(i: int) -> Camera:
+        faults = Faults(collect=True)
+        K, R, T = (f"cams: {field} of camera {i}" for field in "KRT")
+        rotation = faults.of(matrix, path, R, cams["R"][i], (3, 3))
+        offset = faults.of(matrix, path, T, np.reshape(cams["T"][i], -1), (3,))
+        whole = np.eye(4)
+        if rotation is not None and offset is not None:
+            whole[:3] = np.c_[rotation, offset / 1000]
+        made = faults.of(camera, path, cams["K"][i], whole, size, shift=0.5, names=(K, R))
+        faults.of(_lens, path, cams, i)
+        faults.stop()
+        return made
+
+    faults = Faults(collect=True)
+    made = faults.each(one, range(len(cams["K"])), f"cameras of {path} are faulty")
+    faults.stop()
+    return {str(i): camera for i, camera in enumerate(made)}
 
 
 def _lens(path: Path, cams: dict[str, Any], i: int) -> np.ndarray:
@@ -214,15 +244,18 @@ def _number(image: str, sequence: str) -> int:
         raise UserError(f"annots.npy names image '{image}', whose name is no frame number") from None
 
 
-def _parameters(path: Path) -> tuple[np.ndarray, ...]:
+def _parameters(path: Path, reason: str) -> tuple[np.ndarray, ...]:
+    """poses (72), Rh (3), Th (3) and shapes (10) of one frame. reason: why the file should be there."""
+    if not path.is_file():
+        raise UserError(f"{path} is missing, though {reason}")
     content = load_npy(path)
     if not isinstance(content, dict):
         raise UserError(f"{path} holds no dictionary of poses, shapes, Rh and Th")
-    values = []
-    for field, shape in (("poses", (72,)), ("Rh", (3,)), ("Th", (3,)), ("shapes", (10,))):
-        if field not in content:
-            raise UserError(f"{path}: field '{field}' is missing")
-        values.append(matrix(path, field, np.reshape(content[field], -1), shape))
+    shapes = {"poses": (72,), "Rh": (3,), "Th": (3,), "shapes": (10,)}
+    faults = Faults(collect=True)
+    faults.of(require, path, content, tuple(shapes))
+    values = [faults.of(pose_field, path, k, content, shape) for k, shape in shapes.items() if k in content]
+    faults.stop()
     return tuple(values)
 
 

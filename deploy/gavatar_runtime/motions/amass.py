@@ -44,9 +44,9 @@ class AmassFile:
         return SmplFields(self.path, read_arrays(self.path)).motion(up=self.config.up, fps=self.config.fps)
 
 
-def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of an .npz by name, pickles refused. An array that cannot be read is an error only if it is one that a
-    motion needs: AMASS files carry object arrays among their extras. Raises UserError."""
+def read_arrays(path: Path) -> dict[str, np.ndarray | UserError]:
+    """The arrays of an .npz by name, pickles refused. In place of an array that cannot be read stands the UserError,
+    if it is one that a motion needs: AMASS files carry object arrays among their extras. Raises UserError."""
     try:
         file = np.load(path, allow_pickle=False)
         if not isinstance(file, np.lib.npyio.NpzFile):
@@ -57,8 +57,8 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         raise UserError(f"{path} is empty, damaged or not an .npz file") from error
 
 
-def _read_array(file: np.lib.npyio.NpzFile, key: str, path: Path) -> np.ndarray:
+def _read_array(file: np.lib.npyio.NpzFile, key: str, path: Path) -> np.ndarray | UserError:
     try:
         return file[key]
-    except ValueError as error:
-        raise UserError(f"{path}: {key} is not a plain array of numbers; pickled objects are not read") from error
+    except ValueError:
+        return UserError(f"{path}: {key} is not a plain array of numbers; pickled objects are not read")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import UserError
+from ..errors import Faults, UserError, frames_named
 from ..motion import Motion
 from ..rotations import axis_angle_from_matrix, matrix_from_axis_angle
 
@@ -43,7 +43,7 @@ Y_UP_FROM = {
 
 
 class SmplFields:
-    """The arrays of one file, by name, read as a motion.
+    """The arrays of one file, by name, read as a motion; in place of an array, the UserError that reading it gave.
 
     path: named in every message. Fields, of T frames in radians and metres, the first of each list that is there:
     poses (or fullpose, thetas, smpl_poses, pose) (T, 3J) or (T, J, 3) axis-angle; or root_orient and pose_body with
@@ -60,12 +60,23 @@ class SmplFields:
         """The motion, y-up, float32.
 
         up: as in `y_up`. fps: overrides the file's rate, 0 keeps it. default_fps: of a format that states none.
-        Raises UserError naming the file and the field for anything missing, misshaped or not finite.
+        Raises UserError naming the file and the field for anything missing, misshaped or not finite; its `sentences`
+        are one for every field at fault.
         """
-        poses = self._poses()
-        trans = self._trans(len(poses)) * np.float32(trans_scale)
-        motion = Motion(poses, trans, self._fps(fps, default_fps), self._betas(), self.path.stem, self._leg_length())
+        faults = Faults(collect=True)
+        poses = faults.of(self._poses)
+        trans = faults.of(self._trans, self._rows() if poses is None else len(poses))
+        rate = faults.of(self._fps, fps, default_fps)
+        betas, leg_length = faults.of(self._betas), faults.of(self._leg_length)
+        faults.stop()
+        motion = Motion(poses, trans * np.float32(trans_scale), rate, betas, self.path.stem, leg_length)
         return y_up(motion, up)
+
+    def _rows(self) -> int | None:
+        """Frames of poses that could not be read, None where that cannot be told."""
+        key = self._key((*WHOLE_KEYS, *BODY_KEYS))
+        shape = () if key is None else np.shape(self.arrays[key])
+        return shape[0] if len(shape) > 1 else None
 
     def _poses(self) -> np.ndarray:
         key = self._key(WHOLE_KEYS)
@@ -93,26 +104,31 @@ class SmplFields:
 
     def _assembled(self) -> np.ndarray:
         """(T, J, 3) from fields of body parts: 24 joints (a body_pose of 23), 22, 52 with hands, 55 with a face."""
-        parts = [self._part((self._key(ROOT_KEYS),), 3), self._part((self._key(BODY_KEYS),), None)]
-        width = parts[1].shape[1]
-        if width not in (63, 69):
-            raise UserError(
-                f"{self.path}: {self._key(BODY_KEYS)} holds {width} numbers a frame, expected 63 (21 joints) or 69 (23)"
-            )
-        face = [self._optional(JAW_KEYS, 3), self._optional(EYE_KEYS, 6)]
-        hands = self._optional(HAND_KEYS, 90)
-        if width == 63 and any(part is not None for part in face):
-            parts += [*(np.zeros((1, w), np.float32) if p is None else p for p, w in zip(face, (3, 6), strict=True))]
-            hands = np.zeros((1, 90), np.float32) if hands is None else hands
-        if width == 63 and hands is not None:
-            parts.append(hands)
-        frames = max(len(part) for part in parts)
-        for part in parts:
-            if len(part) not in (1, frames):
-                raise UserError(f"{self.path}: its pose fields have {len(part)} and {frames} frames; they must agree")
-        if frames == 0 or min(len(part) for part in parts) == 0:
-            raise UserError(f"{self.path}: {self._key(BODY_KEYS)} holds no frame")
-        poses = np.concatenate([np.broadcast_to(part, (frames, part.shape[1])) for part in parts], 1)
+        faults, root, body = Faults(collect=True), self._key(ROOT_KEYS), self._key(BODY_KEYS)
+        parts = {root: faults.of(self._part, root, 3), body: faults.of(self._part, body, None)}
+        width = 0 if parts[body] is None else parts[body].shape[1]
+        if parts[body] is not None and width not in (63, 69):
+            faults.add(f"{self.path}: {body} holds {width} numbers a frame, expected 63 (21 joints) or 69 (23)")
+        others = {
+            keys: faults.of(self._optional, keys, w) for keys, w in ((JAW_KEYS, 3), (EYE_KEYS, 6), (HAND_KEYS, 90))
+        }
+        if width == 63 and (others[JAW_KEYS] is not None or others[EYE_KEYS] is not None):
+            others = {
+                keys: np.zeros((1, w), np.float32) if others[keys] is None else others[keys]
+                for keys, w in ((JAW_KEYS, 3), (EYE_KEYS, 6), (HAND_KEYS, 90))
+            }
+        if width == 63:
+            parts |= {" and ".join(_flat(keys[:1])): part for keys, part in others.items() if part is not None}
+        lengths = {name: len(part) for name, part in parts.items() if part is not None}
+        frames = max(lengths.values(), default=0)
+        for name, length in lengths.items():
+            if length == 0:
+                faults.add(f"{self.path}: {name} holds no frame")
+            elif length not in (1, frames):
+                longest = max(lengths, key=lengths.get)
+                faults.add(f"{self.path}: {name} has {length} frames and {longest} {frames}: they must agree")
+        faults.stop()
+        poses = np.concatenate([np.broadcast_to(part, (frames, part.shape[1])) for part in parts.values()], 1)
         return poses.reshape(frames, -1, 3)
 
     def _optional(self, keys: tuple, width: int) -> np.ndarray | None:
@@ -120,7 +136,9 @@ class SmplFields:
         for key in keys:
             names = key if isinstance(key, tuple) else (key,)
             if all(name in self.arrays for name in names):
-                halves = [self._part((name,), None) for name in names]
+                faults = Faults(collect=True)
+                halves = [faults.of(self._part, name, None) for name in names]
+                faults.stop()
                 if sum(half.shape[1] for half in halves) == width and len({len(h) for h in halves}) == 1:
                     return np.concatenate(halves, 1)
                 warnings.warn(
@@ -130,19 +148,21 @@ class SmplFields:
                 )
         return None
 
-    def _part(self, keys: tuple[str, ...], width: int | None) -> np.ndarray:
-        key = keys[0]
+    def _part(self, key: str, width: int | None) -> np.ndarray:
         array = self._numbers(key)
         array = array.reshape(1, -1) if array.ndim == 1 else array.reshape(len(array), int(np.prod(array.shape[1:])))
         if width is not None and array.shape[1] != width:
             raise UserError(f"{self.path}: {key} holds {array.shape[1]} numbers a frame, expected {width}")
         return self._finite(key, array)
 
-    def _trans(self, frames: int) -> np.ndarray:
+    def _trans(self, frames: int | None) -> np.ndarray:
+        """(T, 3); frames: None where the poses could not be read."""
         key = self._key(TRANS_KEYS)
         if key is None:
-            return np.zeros((frames, 3), np.float32)
+            return np.zeros((frames or 0, 3), np.float32)
         trans = self._numbers(key)
+        if frames is None and trans.ndim == 2:
+            frames = len(trans)
         if trans.shape != (frames, 3):
             raise UserError(f"{self.path}: {key} has shape {trans.shape}, expected ({frames}, 3) to match poses")
         return self._finite(key, trans)
@@ -184,6 +204,8 @@ class SmplFields:
         return next((key for key in keys if key in self.arrays), None)
 
     def _numbers(self, key: str) -> np.ndarray:
+        if isinstance(self.arrays[key], UserError):  # what reading it gave
+            raise self.arrays[key]
         array = np.asarray(self.arrays[key])
         if array.dtype.kind not in "fiu":
             raise UserError(f"{self.path}: {key} holds {array.dtype} values, expected numbers")
@@ -195,7 +217,7 @@ class SmplFields:
             array = np.asarray(array, np.float32)
         bad = ~np.isfinite(array).all(tuple(range(1, array.ndim)))
         if bad.any():
-            where = "" if key == "betas" else f", first at frame {int(np.argmax(bad))}"
+            where = "" if key == "betas" else f" at {frames_named(np.flatnonzero(bad))}"
             raise UserError(f"{self.path}: {key} holds NaN or infinite values{where}")
         return array
 
