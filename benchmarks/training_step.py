@@ -15,6 +15,7 @@ import time
 from collections import defaultdict
 from pathlib import Path
 
+import gavatar  # noqa: F401  isort: skip  (before torch, which reads at once how its threads are to wait)
 import numpy as np
 import torch
 

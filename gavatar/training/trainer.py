@@ -23,6 +23,7 @@ from ..files import load_tensors, save_tensors, write_image, write_json, write_m
 from ..losses import LossComposer, LossInputs, MotionState
 from ..motion import MotionTable, RowAdam
 from .data import Footage, footage, load_full
+from .memory import keep_freed_memory
 from .preview import as_image, side_by_side
 from .stage import background_at, batch_rows, level_at, lr_factor
 from .verdict import dynamics_verdict, held_out_rows, refuse_worse_poses, view_errors
@@ -42,6 +43,7 @@ class Trainer:
     """
 
     def __init__(self, config: TrainConfig, directory: Path):
+        keep_freed_memory()
         self.config, self.directory = config, Path(directory)
         if config.threads:
             torch.set_num_threads(config.threads)
