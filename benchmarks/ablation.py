@@ -33,6 +33,8 @@ from gavatar.training.run import open_run, train
 from gavatar_runtime.errors import exit_cleanly
 
 PRESETS = ("paper", "upstream", "default")
+# of a capture without true poses: training frames with the poses of training, held-out ones with fitted poses
+SPLITS_WITHOUT_TRUTH = ["train", "test", "novel_view"]
 KINDS = {"baseline": {1: "baseline"}, "avatar": {1: "+opt", 2: "+opt+dyn"}, "control": {1: "+opt, as long"}}
 VARIANTS = ["baseline", "+opt", "+opt, as long", "+opt+dyn"]
 SPLITS = ["test", "novel_pose", "novel_view"]
@@ -107,7 +109,7 @@ def one(args: argparse.Namespace) -> None:
             run.capture = run.capture.resized(args.image)
         for split, views in run.capture.splits.items():
             run.capture.splits[split] = views[:: args.every] if split != "train" else views
-        result = evaluate(run, SPLITS, args.fit, not args.no_perceptual, False, trainer.device)
+        result = evaluate(run, scored_splits(run.capture), args.fit, not args.no_perceptual, False, trainer.device)
         rows += _rows(result, preset, variant, seed, sum(trainer.seconds[n] for n in range(1, stage + 1)))
         _pictures(args, run, directory / "pictures" / variant.strip("+").replace("+", "_"), trainer.device)
     write_json(directory / "rows.json", rows)
@@ -131,10 +133,19 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None else round(value, 2)
 
 
+def scored_splits(capture) -> list[str]:
+    """The splits that the capture has and that say something of it."""
+    return [s for s in (SPLITS if capture.truth is not None else SPLITS_WITHOUT_TRUTH) if capture.splits.get(s)]
+
+
 def pictured(capture) -> list:
     """A few views that show front, back, side and held-out motion."""
     views = [capture.splits[s] for s in SPLITS if capture.splits.get(s)]
     cameras = {view.camera: view for view in capture.splits.get("novel_view") or []}  # the last frame of each camera
+    if "novel_pose" not in scored_splits(capture):
+        seen, held_out = capture.views("train"), capture.splits.get("test") or []
+        spread = [seen[int(i)] for i in np.linspace(0, len(seen) - 1, 4)]
+        return [*spread, *held_out[len(held_out) // 2 :][:1], *cameras.values()]
     return [
         views[0][len(views[0]) // 2],
         views[0][-1],
@@ -146,7 +157,14 @@ def pictured(capture) -> list:
 def _pictures(args: argparse.Namespace, run, folder: Path, device) -> None:
     evaluator = Evaluator(run, progress=False, device=device)
     folder.mkdir(parents=True, exist_ok=True)
-    motion = run.capture.truth or run.capture.motion
+    motion = run.capture.truth
+    if motion is None:
+        motion = run.motion.motion()
+        held_out = [view for view in pictured(run.capture) if view not in run.capture.views("train")]
+        if held_out and args.fit:  # frames that training has seen keep its poses
+            frames = sorted({view.frame for view in held_out} - {view.frame for view in run.capture.views("train")})
+            fitted = evaluator.fit([view for view in held_out if view.frame in frames], args.fit) if frames else motion
+            motion.poses[frames], motion.trans[frames] = fitted.poses[frames], fitted.trans[frames]
     for number, view in enumerate(pictured(run.capture)):
         color, alpha = run.capture.load(view)
         write_image(folder / f"{number}_target.png", color + (1 - alpha[..., None]))
@@ -177,7 +195,8 @@ def picture_of(args: argparse.Namespace) -> None:
         views = pictured(run.capture)
         footage = [run.capture.load(view) for view in views]
         targets = [color + (1 - alpha[..., None]) for color, alpha in footage]
-        renders[stage] = [evaluator.render(view, run.capture.truth or run.capture.motion) for view in views]
+        motion = run.capture.truth or run.motion.motion()
+        renders[stage] = [evaluator.render(view, motion) for view in views]
     errors = [[error_map(t, r) for t, r in zip(targets, row, strict=True)] for row in renders.values()]
     boxes = [_person(target) for target in targets]
     rows = [targets, *renders.values(), *errors]
@@ -269,9 +288,9 @@ def main(argv: list[str] | None = None) -> int:
             faults["_".join(job)] = fault
         else:
             rows.extend(json.loads((run_directory(args, *job) / "rows.json").read_text(encoding="utf-8")))
-        order = {name: i for i, name in enumerate([*presets, *VARIANTS])}
+        order = {name: i for i, name in enumerate([*presets, *VARIANTS, *SPLITS_WITHOUT_TRUTH, *SPLITS])}
         rows.sort(
-            key=lambda r: (order[r["preset"]], order[r["variant"]], SPLITS.index(r["split"]), r["poses"], r["seed"])
+            key=lambda r: (order[r["preset"]], order[r["variant"]], order[r["split"]], r["poses"], r["seed"])
         )
         print(f"{time.monotonic() - start:6.0f} s  {' '.join(job)}  {fault or 'done'}", flush=True)
         if args.json:

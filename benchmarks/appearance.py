@@ -1,0 +1,200 @@
+"""What each choice about appearance is worth: a capture with one planted fault, trained with and without a remedy.
+
+python benchmarks/appearance.py CAPTURE --study batchnorm,anisotropic,masks,unseen,exposure,start,size --out runs/appearance
+python benchmarks/appearance.py CAPTURE --study masks --figures docs/figures
+
+Runs are of the preset `demo` at images of half size (atlas 64, then 128), on the capture's true poses and with motion
+optimisation off, so that appearance is seen apart from pose; --estimated takes the poses as estimated and optimises
+them. Scores are of whole frames on white against the capture as it is, without the planted fault.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gavatar.build import open_capture
+from gavatar.capture import Capture, View
+from gavatar.config import compose_config
+from gavatar.evaluation import Evaluator, evaluate
+from gavatar.files import write_image, write_json
+from gavatar.registry import load_plugins
+from gavatar.reporting import format_table
+from gavatar.training.preview import error_map
+from gavatar.training.run import open_run, train
+from gavatar_runtime.errors import exit_cleanly
+from gavatar_runtime.rotations import matrix_from_axis_angle
+
+LEVELS = "[{until:0.65,uv:64,image:0.25},{until:1.0,uv:128,image:0.5}]"
+STATIC = ["encoder=none", "stage2.steps=0"]
+SPLITS = ("test", "novel_pose", "novel_view")
+
+
+@dataclass
+class Variant:
+    """One run of a study. fault: of FAULTS, planted in the capture that is trained on. prepare: what is done to the
+    opened run before it is scored. image: scale at which it is scored. run: name of the run, where variants share one.
+    """
+
+    name: str
+    overrides: list[str] = field(default_factory=list)
+    fault: str | None = None
+    stage: int = 1
+    image: float = 0.5
+    prepare: Callable = lambda run: None
+    run: str | None = None
+
+
+def batch_statistics(run) -> None:
+    """The networks left in training mode: BatchNorm normalises by the one pose that it is given."""
+    run.avatar.train()
+
+
+def STUDIES() -> dict[str, list[Variant]]:
+    dyn = ["stage2.steps=300", "stage2.batch=3"]
+    batch = [*dyn, "encoder=unet_batchnorm", "encoder.width=16"]
+    upstream = ["decoder=upstream", "decoder.scale_warmup=70", *STATIC]
+    return {
+        "batchnorm": [
+            Variant("U-Net, GroupNorm", dyn, stage=2, run="group"),
+            Variant("the same, stage 1", dyn, stage=1, run="group"),
+            Variant("U-Net, BatchNorm, running statistics", batch, stage=2, run="batch"),
+            Variant("U-Net, BatchNorm, statistics of the pose", batch, stage=2, run="batch", prepare=batch_statistics),
+            Variant("decoder upstream, running statistics", upstream, run="upstream"),
+            Variant("decoder upstream, statistics of the points", upstream, run="upstream", prepare=batch_statistics),
+        ],
+    }
+
+
+FAULTS: dict[str, Callable[[View, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]] = {}
+
+
+def planted(capture: Capture, folder: Path, true_poses: bool, fault: str | None) -> Path:
+    """A capture folder like `capture` with the fault planted in its training views. Written anew each time."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    source = capture.path.resolve()
+    info = json.loads((source / "capture.json").read_text(encoding="utf-8"))
+    for name in ("cameras.json", "body_truth.npz"):
+        if (source / name).exists():
+            (folder / name).symlink_to(source / name)
+    (folder / "body.npz").symlink_to(source / ("body_truth.npz" if true_poses else "body.npz"))
+    if true_poses:  # the truth has no shape of its own
+        (folder / "body.npz").unlink()
+        with np.load(source / "body.npz") as given, np.load(source / "body_truth.npz") as truth:
+            np.savez(folder / "body.npz", **dict(given) | dict(truth))
+    if fault == "front":
+        info["splits"]["train"] = facing(capture)
+    if fault in FAULTS:
+        info["background"] = "footage"
+        for view in capture.views("train"):
+            color, alpha = FAULTS[fault](view, *capture.load(view))
+            write_image(folder / "images" / view.camera / f"{view.frame:06d}.png", color)
+            write_image(folder / "masks" / view.camera / f"{view.frame:06d}.png", alpha)
+        info["splits"] = {"train": info["splits"]["train"]}
+    else:
+        for name in ("images", "masks"):
+            (folder / name).symlink_to(source / name)
+    write_json(folder / "capture.json", info)
+    return folder
+
+
+def facing(capture: Capture, degrees: float = 60) -> list:
+    """Training views in which the person faces the camera within so many degrees."""
+    motion = capture.truth or capture.motion
+    kept: dict[str, list[int]] = {}
+    for view in capture.views("train"):
+        forward = matrix_from_axis_angle(motion.poses[view.frame, 0].astype(np.float64))[:, 2]
+        towards = capture.camera(view).position - motion.trans[view.frame]
+        cosine = np.dot(forward[[0, 2]], towards[[0, 2]])
+        cosine /= np.linalg.norm(forward[[0, 2]]) * np.linalg.norm(towards[[0, 2]])
+        if cosine > np.cos(np.radians(degrees)):
+            kept.setdefault(view.camera, []).append(view.frame)
+    return [[camera, frames] for camera, frames in kept.items()]
+
+
+def arguments(argv: list[str] | None = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("capture", type=Path, help="a capture with true poses, for example studio_male")
+    parser.add_argument("--study", default="", help="comma-separated, by default all")
+    parser.add_argument("--only", default="", help="of a study, the variants whose name holds this")
+    parser.add_argument("--out", type=Path, default=Path("runs/appearance"), help="run directories (%(default)s)")
+    parser.add_argument("--estimated", action="store_true", help="train on the estimated poses and optimise them")
+    parser.add_argument("--steps", type=int, default=750, help="of stage 1 (%(default)s)")
+    parser.add_argument("--every", type=int, default=3, help="score each Nth view of a split (%(default)s)")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("override", nargs="*", help="Hydra overrides for every run")
+    return parser.parse_intermixed_args(argv)
+
+
+def trained(args: argparse.Namespace, capture: Capture, study: str, variant: Variant) -> Path:
+    """The variant's run directory, trained unless it is there already."""
+    poses = "estimated" if args.estimated else "true"
+    directory = args.out / poses / study / (variant.run or variant.name).replace(" ", "_").replace(",", "")
+    if not (directory / "motion.npz").exists():
+        source = planted(capture, args.out / poses / "captures" / (variant.fault or "none"), not args.estimated,
+                         variant.fault)  # fmt: skip
+        base = [f"capture={source}", f"out={directory}", "experiment=demo", f"stage1.steps={args.steps}"]
+        base += [f"stage1.levels={LEVELS}", "stage2.levels=[{until:1.0,uv:128,image:0.5}]", "progress=false"]
+        base += ["preview_every=1000000", "checkpoint_every=1000000", "overwrite=true"]
+        if not args.estimated:
+            base.append("motion.enabled=false")
+        train(compose_config([*base, *variant.overrides, *args.override]), directory)
+    return directory
+
+
+def scored(args: argparse.Namespace, capture: Capture, directory: Path, variant: Variant) -> dict:
+    """PSNR and SSIM of each split with true poses, and of the training views with the poses of training."""
+    run = open_run(directory, variant.stage)
+    seconds = json.loads((directory / "metrics.json").read_text(encoding="utf-8"))["seconds"]
+    train_views = run.capture.views("train")
+    run.capture = capture.resized(variant.image)
+    run.capture.splits = {s: run.capture.splits[s][:: args.every] for s in SPLITS}
+    run.capture.splits["train"] = train_views[:: args.every]
+    variant.prepare(run)
+    result = evaluate(run, ["train", *SPLITS], fit_steps=0, perceptual=False, progress=False)
+    row = {"variant": variant.name, "seconds": round(sum(seconds.values()), 1)}
+    for score in result.rows:
+        if score.split == "train" or score.poses == "true":
+            row |= {f"{score.split}_psnr": round(score.psnr, 3), f"{score.split}_ssim": round(score.ssim, 5)}
+            if score.split == "train" and score.mpjpe_mm is not None:
+                row["mpjpe_mm"] = round(score.mpjpe_mm, 2)
+    return row
+
+
+@exit_cleanly
+def main(argv: list[str] | None = None) -> int:
+    args = arguments(argv)
+    load_plugins()
+    capture = open_capture(args.capture)
+    studies = STUDIES()
+    chosen = args.study.split(",") if args.study else list(studies)
+    report: dict[str, list[dict]] = {}
+    for study in chosen:
+        for variant in studies[study]:
+            if args.only and args.only not in variant.name:
+                continue
+            start = time.monotonic()
+            row = scored(args, capture, trained(args, capture, study, variant), variant)
+            report.setdefault(study, []).append(row)
+            print(f"{time.monotonic() - start:6.0f} s  {study}: {json.dumps(row)}", flush=True)
+            if args.json:
+                write_json(args.json, {"arguments": sys.argv[1:] if argv is None else argv, "studies": report})
+    for study, rows in report.items():
+        header = [study, "train", *SPLITS, "MPJPE", "s"]
+        keys = [*(f"{s}_psnr" for s in ("train", *SPLITS)), "mpjpe_mm", "seconds"]
+        print(format_table(header, [[r["variant"], *(f"{r[k]:.2f}" if k in r else "-" for k in keys)] for r in rows]))
+    return 0
+
+
+if __name__ == "__main__":
+    main()
