@@ -289,9 +289,7 @@ def main(argv: list[str] | None = None) -> int:
         else:
             rows.extend(json.loads((run_directory(args, *job) / "rows.json").read_text(encoding="utf-8")))
         order = {name: i for i, name in enumerate([*presets, *VARIANTS, *SPLITS_WITHOUT_TRUTH, *SPLITS])}
-        rows.sort(
-            key=lambda r: (order[r["preset"]], order[r["variant"]], order[r["split"]], r["poses"], r["seed"])
-        )
+        rows.sort(key=lambda r: (order[r["preset"]], order[r["variant"]], order[r["split"]], r["poses"], r["seed"]))
         print(f"{time.monotonic() - start:6.0f} s  {' '.join(job)}  {fault or 'done'}", flush=True)
         if args.json:
             about = {"arguments": argv, "seconds": round(time.monotonic() - start, 1), "left_out": faults}

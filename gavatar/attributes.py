@@ -12,12 +12,15 @@ from torch import Tensor
 class Attributes:
     """Per-point output of a decoder, in the canonical pose.
 
-    offsets: (..., N, 3) metres from the surface point. colors: (..., N, 3) in [0, 1]. scales: (..., N) metres, >= 0.
+    offsets: (..., N, 3) metres from the surface point. colors: (..., N, 3) in [0, 1]. scales: (..., N) metres, >= 0, or
+    (..., N, 3) along the axes of `rotations`. rotations: (..., N, 4) wxyz, of unit length, None where Gaussians are
+    isotropic.
     """
 
     offsets: Tensor
     colors: Tensor
     scales: Tensor
+    rotations: Tensor | None = None
 
 
 class Decoder(Protocol):

@@ -17,7 +17,7 @@ from gavatar_runtime.surface import Surface
 
 from .attributes import Attributes
 from .body import Skeleton
-from .skinning import skin, skinning_weights
+from .skinning import skin, skin_rotations, skinning_weights
 
 
 @dataclasses.dataclass
@@ -78,7 +78,9 @@ class Avatar(nn.Module):
             features = features + sample_uv(pose_features, self.uv)
         B, N, C = features.shape
         out = self.decoder(features.reshape(B * N, C), self.uv.repeat(B, 1), self.spacing.repeat(B))
-        return Attributes(out.offsets.view(B, N, 3), out.colors.view(B, N, 3), out.scales.view(B, N))
+        rotations = None if out.rotations is None else out.rotations.view(B, N, 4)
+        scales = out.scales.view(B, N, *out.scales.shape[1:])
+        return Attributes(out.offsets.view(B, N, 3), out.colors.view(B, N, 3), scales, rotations)
 
     def encode(self, positional_maps: Tensor | None) -> Tensor | None:
         """(B, 3, M, M) root-relative positional maps -> pose features, or None for a static avatar."""
@@ -88,11 +90,17 @@ class Avatar(nn.Module):
 
     def pose(self, attributes: Attributes, rotations: Tensor, trans: Tensor) -> list[Gaussians]:
         """Pose decoded points. rotations: (B, J, 3, 3) local joint rotations. trans: (B, 3) metres. Attributes with a
-        leading 1 serve every pose. Returns B sets of isotropic Gaussians in the world, opacity 1."""
+        leading 1 serve every pose. Returns B sets of Gaussians in the world, opacity 1, isotropic unless the attributes
+        have rotations."""
         transforms = self.skeleton.canonical_to_posed(rotations)
         means = skin(self.points + attributes.offsets, self.weights, transforms) + trans[:, None]
+        quaternions = [None] * len(rotations)
+        if attributes.rotations is not None:
+            quaternions = skin_rotations(attributes.rotations, self.weights, transforms, self.skeleton.parents)
         last = len(attributes.colors) - 1
         return [
-            Gaussians(means[b], attributes.scales[min(b, last)], attributes.colors[min(b, last)])
+            Gaussians(
+                means[b], attributes.scales[min(b, last)], attributes.colors[min(b, last)], quaternions=quaternions[b]
+            )
             for b in range(len(rotations))
         ]

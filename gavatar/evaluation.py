@@ -11,6 +11,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from gavatar_runtime.body import check_motion_fits
+from gavatar_runtime.detail import as_trained
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.surface import positional_map
 
@@ -130,7 +131,8 @@ class Evaluator:
         attributes = self._static or run.avatar.attributes(pose_features(run.avatar, run.built, poses))
         table = MotionTable(Motion(poses, motion.trans[view.frame][None], motion.fps), poses.shape[1])
         (gaussians,) = run.avatar.pose(attributes, *table.to(self.device)())
-        return self.rasterize(gaussians, run.capture.camera(view), WHITE).color
+        camera = run.capture.camera(view)
+        return self.rasterize(as_trained(gaussians, camera, run.pixel), camera, WHITE).color
 
     @torch.no_grad()
     def score(self, split: str, poses: str, views: Sequence[View], motion: Motion) -> SplitScore:

@@ -83,6 +83,7 @@ def export(
     only if positions agree within 0.1 mm and colours within 1/255, else UserError and nothing is left.
     """
     path = Path(path)
+    _check_isotropic(run)
     path.parent.mkdir(parents=True, exist_ok=True)
     avatar, data = run.avatar, run.built.body.data
     tiers = _with_needs(tiers, run)
@@ -128,6 +129,7 @@ def export_front(run: Run, path: str | Path, poses: int = 8, *, uv: int | None =
     if run.avatar.encoder is None:
         return export(run, path, poses, uv=uv, progress=progress)
     path = Path(path)
+    _check_isotropic(run)
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".gavatar-export-", dir=path.parent) as scratch:
         draft = Path(scratch) / "all.gavatar"
@@ -139,6 +141,14 @@ def export_front(run: Run, path: str | Path, poses: int = 8, *, uv: int | None =
     return write_bundle(
         path, dataclasses.replace(manifest, tiers=kept), {k: v for k, v in members.items() if k in wanted}
     )
+
+
+def _check_isotropic(run: Run) -> None:
+    if run.config.decoder.get("anisotropic"):
+        raise UserError(
+            f"{run.directory}: its Gaussians are anisotropic (decoder.anisotropic=true), which the player does not "
+            "draw; train it without that option to export it"
+        )
 
 
 def on_front(tiers: Sequence[dict]) -> list[dict]:
@@ -193,6 +203,7 @@ def _manifest(run: Run) -> Manifest:
             "train_views": len(run.capture.views(config.train_split)),
             "uv_resolution": run.uv,
             "seed": config.seed,
+            "pixel_m": run.pixel,
         },
     )
 

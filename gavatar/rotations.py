@@ -32,9 +32,22 @@ def matrix_from_axis_angle(axis_angle: Tensor) -> Tensor:
 def rotation_vector_from_matrix(matrix: Tensor) -> Tensor:
     """(..., 3, 3) rotations -> (..., 3) rotation vectors with angle in [0, pi], radians.
 
-    Through the quaternion's largest component (Shepperd), which is never near zero, and atan2: value and gradient are
-    finite everywhere, exact at zero. At pi the axis' sign is a choice and the function jumps, as it must.
+    Through the quaternion and atan2: value and gradient are finite everywhere, exact at zero. At pi the axis' sign is a
+    choice and the function jumps, as it must.
     """
+    q = quaternion_from_matrix(matrix)
+    w, v = q[..., :1], q[..., 1:]
+    v2 = (v * v).sum(-1, keepdim=True)
+    small = v2 < 1e-6
+    sine = torch.sqrt(torch.where(small, torch.ones_like(v2), v2))
+    x2 = v2 / torch.where(small, w, torch.ones_like(w)).square()
+    series = 2 / torch.where(small, w, torch.ones_like(w)) * (1 - x2 / 3 * (1 - x2 * 3 / 5))
+    return v * torch.where(small, series, 2 * torch.atan2(sine, w) / sine)
+
+
+def quaternion_from_matrix(matrix: Tensor) -> Tensor:
+    """(..., 3, 3) rotations -> (..., 4) unit quaternions wxyz, w >= 0, by way of their largest component (Shepperd),
+    which is never near zero."""
     m00, m11, m22 = (matrix[..., i, i] for i in range(3))
     d21, d02, d10 = (matrix[..., i, j] - matrix[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
     s01, s02, s12 = (matrix[..., i, j] + matrix[..., j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
@@ -48,11 +61,12 @@ def rotation_vector_from_matrix(matrix: Tensor) -> Tensor:
     best = candidates.diagonal(dim1=-2, dim2=-1).argmax(-1)[..., None, None].expand(*matrix.shape[:-2], 1, 4)
     q = candidates.gather(-2, best)[..., 0, :]
     q = q / q.norm(dim=-1, keepdim=True)
-    q = torch.where(q[..., :1] < 0, -q, q)
-    w, v = q[..., :1], q[..., 1:]
-    v2 = (v * v).sum(-1, keepdim=True)
-    small = v2 < 1e-6
-    sine = torch.sqrt(torch.where(small, torch.ones_like(v2), v2))
-    x2 = v2 / torch.where(small, w, torch.ones_like(w)).square()
-    series = 2 / torch.where(small, w, torch.ones_like(w)) * (1 - x2 / 3 * (1 - x2 * 3 / 5))
-    return v * torch.where(small, series, 2 * torch.atan2(sine, w) / sine)
+    return torch.where(q[..., :1] < 0, -q, q)
+
+
+def quaternion_product(a: Tensor, b: Tensor) -> Tensor:
+    """(..., 4) wxyz: the rotation b, then a."""
+    a, b = torch.broadcast_tensors(a, b)
+    aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
+    dot = (av * bv).sum(-1, keepdim=True)
+    return torch.cat([aw * bw - dot, aw * bv + bw * av + torch.linalg.cross(av, bv)], -1)

@@ -19,6 +19,7 @@ import torch
 from gavatar_runtime.avatar import Avatar
 from gavatar_runtime.bundle import Bundle, read_bundle
 from gavatar_runtime.camera import Camera
+from gavatar_runtime.detail import as_trained
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.framing import frame_motion
 from gavatar_runtime.motion import Motion
@@ -171,7 +172,7 @@ def images(choice: Choice, bundle: Bundle, motion: Motion, frames: Sequence[int]
             for earlier in range(at, frame):
                 avatar.gaussians(motion.poses[earlier], motion.trans[earlier])
         at = frame + 1
-        gaussians = avatar.gaussians(motion.poses[frame], motion.trans[frame])
+        gaussians = as_trained(avatar.gaussians(motion.poses[frame], motion.trans[frame]), camera, avatar.pixel)
         result.append(np.clip(rasterizer.render(gaussians, camera, WHITE).color, 0, 1).copy())
     return result
 

@@ -66,6 +66,13 @@ class Avatar:
         return len(self.surface)
 
     @property
+    def pixel(self) -> float | None:
+        """Metres of the person that a pixel of the training images spanned (`detail.as_trained`); None where the bundle
+        does not say."""
+        value = self.bundle.manifest.training.get("pixel_m")
+        return float(value) if isinstance(value, (int, float)) and 0 < value < np.inf else None
+
+    @property
     def dynamic(self) -> bool:
         """Whether the look depends on the pose."""
         return self.bundle.manifest.dynamic

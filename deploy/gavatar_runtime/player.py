@@ -15,6 +15,7 @@ import numpy as np
 from . import native_library
 from .avatar import Avatar
 from .camera import Camera
+from .detail import as_trained
 from .motion import Motion
 from .plugins import load_entry_points
 from .registry import Registry
@@ -100,7 +101,8 @@ def play(
 
     def decode(frame: int):
         gaussians = avatar.gaussians(motion.poses[frame], motion.trans[frame])
-        return gaussians, dict(avatar.stage_seconds)
+        stages = dict(avatar.stage_seconds)
+        return as_trained(gaussians, cameras[frame], getattr(avatar, "pixel", None)), stages
 
     def write(image: np.ndarray) -> float:
         start = perf_counter()

@@ -8,9 +8,10 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.motion import Motion
 
 from ..build import AvatarBuild, build_avatar, capture_on_body, open_capture, resolve_body
-from ..capture import Capture
+from ..capture import Capture, View
 from ..config import TrainConfig, check
 from ..files import atomic, load_tensors
 from ..motion import MotionTable
@@ -53,7 +54,8 @@ def train(composed: DictConfig, directory: Path) -> Trainer:
 
 @dataclasses.dataclass
 class Run:
-    """A trained run, opened. stage: of the avatar that was loaded. uv: side of the atlas it ended at."""
+    """A trained run, opened. stage: of the avatar that was loaded. uv: side of the atlas it ended at. pixel: metres of
+    the person that a pixel of the training images spanned (`gavatar_runtime.detail.as_trained`)."""
 
     directory: Path
     config: TrainConfig
@@ -62,6 +64,7 @@ class Run:
     motion: MotionTable
     stage: int
     uv: int
+    pixel: float | None = None
 
     @property
     def avatar(self):
@@ -104,4 +107,19 @@ def open_run(directory: str | Path, stage: int | None = None, capture: str | Pat
     built.avatar.eval()
     for parameter in [*built.avatar.parameters(), *motion.parameters()]:
         parameter.requires_grad_(False)
-    return Run(directory, config, opened, built, motion, state["stage"], state["uv"])
+    pixel = None
+    if not config.rasterizer.get("antialiased"):  # which keeps the filter from widening anything
+        scale = getattr(config, f"stage{number}").levels[-1].image
+        pixel = finest_pixel(opened, opened.views(config.train_split), scale, motion.motion())
+    return Run(directory, config, opened, built, motion, state["stage"], state["uv"], pixel)
+
+
+def finest_pixel(capture: Capture, views: list[View], scale: float, motion: Motion) -> float | None:
+    """Metres that a pixel of the images, scaled by `scale`, spans at the person's place, in the nearest of the views;
+    None where nobody stands before a camera."""
+    spans = []
+    for view in views:
+        camera = capture.camera(view)
+        depth = camera.T_camera_world[2, :3] @ motion.trans[view.frame] + camera.T_camera_world[2, 3]
+        spans.append(2 * depth / (camera.fx + camera.fy) / scale)
+    return float(min((span for span in spans if span > 0), default=0)) or None

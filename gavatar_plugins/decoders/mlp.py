@@ -7,6 +7,7 @@ import math
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from gavatar.attributes import Attributes
 from gavatar.registry import DECODERS
@@ -19,6 +20,7 @@ class MlpConfig:
     the hidden layer of each head. offset_limit: metres, offsets are bounded by construction. scale_limit: largest
     scale in units of the point spacing; scale_init: at the start, same units. scale_floor: smallest scale, same units:
     above zero, Gaussians that the pixel filter widened in small training images leave no gaps when seen from nearer.
+    anisotropic: three scales and a rotation for each Gaussian, to compare by; such an avatar is not exported.
     """
 
     widths: list[int] = dataclasses.field(default_factory=lambda: [128, 128, 128, 256, 128, 128, 128, 64])
@@ -28,6 +30,7 @@ class MlpConfig:
     scale_limit: float = 3.0
     scale_init: float = 0.8
     scale_floor: float = 0.0
+    anisotropic: bool = False
 
 
 @DECODERS.register("mlp", config=MlpConfig, summary="8 layers with a skip and three 2-layer heads, ReLU (paper)")
@@ -48,10 +51,13 @@ class MlpDecoder(nn.Module):
             layers.append(nn.Linear(inside, outside))
             inside = outside
         self.layers = nn.ModuleList(layers)
+        outputs = {"offset": 3, "color": 3, "scale": 1}
+        if config.anisotropic:
+            outputs |= {"scale": 3, "rotation": 4}
         self.heads = nn.ModuleDict(
             {
                 name: nn.Sequential(nn.Linear(inside, config.head_width), nn.ReLU(), nn.Linear(config.head_width, out))
-                for name, out in (("offset", 3), ("color", 3), ("scale", 1))
+                for name, out in outputs.items()
             }
         )
         for layer in self.layers:
@@ -67,6 +73,8 @@ class MlpDecoder(nn.Module):
             )
         start = (config.scale_init - config.scale_floor) / (config.scale_limit - config.scale_floor)
         nn.init.constant_(self.heads["scale"][2].bias, math.log(start / (1 - start)))
+        if config.anisotropic:
+            nn.init.constant_(self.heads["rotation"][2].bias[:1], 1.0)  # the identity
 
     def forward(self, features: Tensor, uv: Tensor, spacing: Tensor) -> Attributes:
         """features: (P, C). uv: (P, 2), unused: the learnable features tell the place. spacing: (P,) metres."""
@@ -76,9 +84,14 @@ class MlpDecoder(nn.Module):
                 x = torch.cat([x, features], -1)
             x = torch.relu(layer(x))
         limit, floor = self.config.offset_limit, self.config.scale_floor
-        share = torch.sigmoid(self.heads["scale"](x)[..., 0])
+        share, unit, rotations = torch.sigmoid(self.heads["scale"](x)), spacing[..., None], None
+        if self.config.anisotropic:
+            rotations = F.normalize(self.heads["rotation"](x), dim=-1)
+        else:
+            share, unit = share[..., 0], spacing
         return Attributes(
             offsets=limit * torch.tanh(self.heads["offset"](x) / limit),
             colors=torch.sigmoid(self.heads["color"](x)),
-            scales=spacing * (floor + (self.config.scale_limit - floor) * share),
+            scales=unit * (floor + (self.config.scale_limit - floor) * share),
+            rotations=rotations,
         )
