@@ -25,11 +25,10 @@ import numpy as np
 from gavatar.build import open_capture
 from gavatar.capture import Capture, View
 from gavatar.config import compose_config
-from gavatar.evaluation import Evaluator, evaluate
+from gavatar.evaluation import evaluate
 from gavatar.files import write_image, write_json
 from gavatar.registry import load_plugins
 from gavatar.reporting import format_table
-from gavatar.training.preview import error_map
 from gavatar.training.run import open_run, train
 from gavatar_runtime.errors import exit_cleanly
 from gavatar_runtime.rotations import matrix_from_axis_angle

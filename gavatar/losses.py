@@ -42,7 +42,8 @@ class LossInputs:
     render: (B, 3, H, W) composited over the batch's background, [0, 1]. target: (B, 3, H, W) footage over the same
     background. alpha: (B, H, W) rendered. mask: (B, H, W) footage alpha in [0, 1].
     features: (1, C, R, R) learnable feature tensor. pose_features: (B, C, R, R). offsets: (B or 1, N, 3) metres.
-    scales: (B or 1, N) or (B or 1, N, 3) metres. motion: the pose table, absent when poses are fixed. progress: 0..1 of the stage.
+    scales: (B or 1, N) or (B or 1, N, 3) metres. motion: the pose table, absent when poses are fixed. progress: 0..1 of
+    the stage.
     """
 
     render: Tensor

@@ -80,8 +80,9 @@ def footage(
 ) -> Footage:
     """The images of `load_full` resized by `scale` (area-averaged) and, if `crop`, cut to the person.
 
-    mask_edge: pixels of the full image within which a mask's border is not believed (`edge_known`). Every window has the size of the largest person plus a margin of an eighth on each side, so that a body still out of
-    place is seen; sides are multiples of 16 when cropped.
+    mask_edge: pixels of the full image within which a mask's border is not believed (`edge_known`). Every window has
+    the size of the largest person plus a margin of an eighth on each side, so that a body still out of place is seen;
+    sides are multiples of 16 when cropped.
     """
     sized = []
     for view, (color, alpha) in zip(views, full, strict=True):
