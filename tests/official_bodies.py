@@ -1,7 +1,7 @@
 """Body models of our own making in the official files' layouts: keys, shapes, dtypes and object types as downloaded.
 
-Two kinds: random numbers with any number of vertices, for comparing arithmetic, and the free body dressed up as SMPL-H
-or SMPL-X (its own mesh, with jaw and eyes added), for looking at.
+Two kinds: random numbers with any number of vertices, for comparing arithmetic, and the free body dressed up as SMPL,
+SMPL-H or SMPL-X (its own mesh, with jaw and eyes added), for looking at.
 """
 
 from __future__ import annotations
@@ -142,15 +142,19 @@ def write_npz(path: Path, arrays: dict) -> Path:
 
 
 def dressed_free_body(family: str, pose_mm: float = 8.0) -> dict:
-    """The free body as an SMPL-H or SMPL-X model with its own atlas. SMPL-X gets a jaw and eyes cut from the head's
-    skinning weights, expressions that move the mouth, smooth pose blendshapes of up to about `pose_mm`."""
+    """The free body as a model of the family with its own atlas and smooth pose blendshapes of up to about `pose_mm`.
+    SMPL-X gets a jaw and eyes cut from the head's skinning weights and expressions that move the mouth; SMPL's fingers
+    are stiff."""
     from make_bundle import free_body
 
     free = free_body()
     names, V = JOINTS[family], len(free.v_template)
-    place = [names.index(name) for name in free.joint_names]
     weights, regressor = np.zeros((V, len(names))), np.zeros((len(names), V))
-    weights[:, place], regressor[place] = free.lbs_weights, free.J_regressor
+    for j, name in enumerate(free.joint_names):
+        place = names.index(name if name in names else f"{name.split('_')[0]}_hand")
+        weights[:, place] += free.lbs_weights[:, j]
+        if name in names or name.endswith("middle1"):
+            regressor[place] = free.J_regressor[j]
     vertices = free.v_template.astype(np.float64)
     expression = np.zeros((V, 3, 10))
     if family == "smplx":
@@ -166,8 +170,10 @@ def dressed_free_body(family: str, pose_mm: float = 8.0) -> dict:
         "kintree_table": kintree(names),
         "vt": free.uv,
         "ft": free.uv_faces.astype(np.uint32),
-        **hand_arrays(),
     }
+    if family == "smpl":
+        return arrays
+    arrays |= hand_arrays()
     for side, sign in (("l", -1), ("r", 1)):  # hands that rest half closed
         arrays[f"hands_mean{side}"] = np.tile([0, 0, 0.35 * sign], 15)
     return arrays

@@ -11,6 +11,9 @@ from gavatar_runtime.errors import UserError, exit_cleanly
 from ..extras import requires_extra
 
 MOST_FRAMES, LARGEST = 200, 1024  # of raw video; pixels of the longer side
+FITTED_BETAS = 10  # official files have 16 or 300; beyond ten, one person's outline says next to nothing
+# "smplh" in a capture means the free body: captures made on it were labelled so before it had a name
+CALLED = {"smplh": "smplh-official", "auto": "free"}
 DESCRIPTION = "Find the person in a video, fit the body, write a capture that gavatar-train reads."
 EPILOG = """SOURCE is a video of one person before a camera that stands still, or a folder that holds one of
   frames/*.png (or one video)  masks/NAME.png  landmarks.npz            one camera that need not be known
@@ -64,7 +67,13 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--height", type=float, metavar="M", help="the person's height in metres, if known")
     parser.add_argument("--pose-network", metavar="FILE", type=Path, help="another landmark network with the inputs "
                         "and outputs of MediaPipe's (ONNX); the package brings its 'full' one")  # fmt: skip
-    parser.add_argument("--body", default="free", help="body to fit (default: free)")
+    parser.add_argument("--body", default="free", metavar="NAME", help="body to fit: free (default), or smpl, smplh, "
+                        "smplx from your own files (docs/bodies.md)")  # fmt: skip
+    parser.add_argument("--body-path", metavar="PATH", help="model file of --body, or the folder to look in before "
+                        "those of $GAVATAR_BODY_MODELS")  # fmt: skip
+    parser.add_argument("--gender", choices=("neutral", "male", "female"), help="of --body's model (default: neutral)")
+    parser.add_argument("--num-betas", type=int, default=FITTED_BETAS, metavar="N", help="shape coefficients to fit "
+                        "(default: %(default)s)")  # fmt: skip
     parser.add_argument("--name", help="name of the capture (default: the folder's)")
     parser.add_argument("--license", default="unknown", help="licence of the footage (default: unknown)")
     parser.add_argument("--preview", action=argparse.BooleanOptionalAction, default=True,
@@ -85,7 +94,14 @@ def _slice(text: str) -> slice:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    ranges = {"fps": (0, 10000), "max_frames": (0, 100000), "size": (16, 16384), "fov": (1, 170), "height": (0.5, 2.6)}
+    ranges = {
+        "fps": (0, 10000),
+        "max_frames": (0, 100000),
+        "size": (16, 16384),
+        "fov": (1, 170),
+        "height": (0.5, 2.6),
+        "num_betas": (0, 400),
+    }
     for name, (low, high) in ranges.items():
         value = getattr(arguments, name)
         if value is not None and not (low < value <= high):
@@ -129,6 +145,12 @@ def _prepare(arguments: argparse.Namespace, frames: slice, masks: Path) -> int:
     from ..prepare import CaptureFacts, Detector, FitOptions, SourceOptions, open_source, prepare
     from ..registry import BODIES, load_plugins
 
+    load_plugins()
+    options = {"path": arguments.body_path, "gender": arguments.gender}
+    options = {key: value for key, value in options.items() if value is not None}
+    if options and arguments.body == "free":
+        raise UserError("--body-path and --gender are for the official bodies: give --body smpl, smplh or smplx too")
+    data = BODIES.build(arguments.body, options).data  # before the footage, which takes long
     places = {key: getattr(arguments, key) for key in ("landmarks", "masks", "cameras", "fps", "size")}
     detector = Detector(masks, arguments.pose_network, not arguments.quiet)
     limits = {"most_frames": arguments.max_frames, "largest": LARGEST}
@@ -138,20 +160,22 @@ def _prepare(arguments: argparse.Namespace, frames: slice, masks: Path) -> int:
         print(f"note: {note}")
     if arguments.fov is not None and source.footage[0].lens is not None:
         raise UserError("--fov is for an unknown camera, but cameras.json calibrates it: leave one of them out")
-    load_plugins()
     out = arguments.out
     name = arguments.name or out.resolve().name
     facts = CaptureFacts(
         name=name, license=arguments.license, source=f"gavatar-prepare {arguments.source.name}",
-        body_model=arguments.body, holdout_camera=arguments.holdout_camera,
+        body_model=CALLED.get(arguments.body, arguments.body), gender=arguments.gender or "neutral",
+        holdout_camera=arguments.holdout_camera,
     )  # fmt: skip
     quality = prepare(
         source,
-        BODIES.build(arguments.body).data,
+        data,
         out,
         facts,
         **({} if arguments.fov is None else {"fov": arguments.fov}),
-        options=FitOptions(stature=arguments.height, refine_cameras=arguments.refine_cameras),
+        options=FitOptions(
+            stature=arguments.height, refine_cameras=arguments.refine_cameras, num_betas=arguments.num_betas
+        ),
         overwrite=arguments.overwrite,
         preview=arguments.preview,
         progress=not arguments.quiet,

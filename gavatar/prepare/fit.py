@@ -40,12 +40,18 @@ class FitOptions:
     stature: float | None = None
     refine_cameras: bool = False  # calibrated principal points may move: a small error of a camera's direction
     surface_points: int = 1500
+    num_betas: int = 10  # of an official model's 10 to 300
     image_sigma: float = 0.02  # metres
     bone_sigma: float = 0.35  # radians; depth from one view is rough
     inside_sigma: float = 0.015  # metres
     reach_sigma: float = 0.025  # metres; loose: clothes and hair are not body
     trans_acceleration: float = 8.0  # metres / s^2
     angular_acceleration: float = 120.0  # radians / s^2
+    # The pose stage begins with the directions of bones, which say whether a limb points to or from the camera, and
+    # hands over to the image, which cannot: begun with it, a limb that starts on the wrong side stays there.
+    lead: float = 0.6  # of the pose stage
+    lead_bones: float = 8.0
+    lead_image: float = 0.1
     weights: dict = dataclasses.field(
         default_factory=lambda: {
             "image": 1.0, "bones": 0.5, "inside": 1.0, "reach": 10.0, "pose": 0.05, "betas": 0.005, "offset": 0.02,
@@ -100,7 +106,7 @@ class BodyFitter:
     ):
         self.data, self.cameras, self.fps = data, cameras, fps
         self.options = options or FitOptions()
-        self.rig = FitRig(data, self.options.surface_points)
+        self.rig = FitRig(data, self.options.surface_points, self.options.num_betas)
         seen = observe(cameras, landmarks, fps)
         rest = self.rig.landmarks0.numpy().astype(np.float64)
         root = facing(cameras, seen, rest, fps)
@@ -229,10 +235,11 @@ class BodyFitter:
             optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99))
             schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, _warm_cosine(steps))
             bar = tqdm(range(steps), desc=f"fit {name}", unit="step", disable=not progress, leave=False)
-            for _ in bar:
+            for step in bar:
                 optimizer.zero_grad()
                 terms = self.losses(stage)
-                total = sum(self.options.weights[k] * v for k, v in terms.items())
+                weights = self._weights(stage, step / steps)
+                total = sum(weights[k] * v for k, v in terms.items())
                 total.backward()
                 optimizer.step()
                 schedule.step()
@@ -245,6 +252,13 @@ class BodyFitter:
                 "the fit diverged to NaN: the landmarks or cameras contradict each other; check their units"
             )
         return self._result(last)
+
+    def _weights(self, stage: int, progress: float) -> dict[str, float]:
+        """The terms' weights after the share `progress` of a stage."""
+        options = self.options
+        before = max(0.0, 1 - progress / options.lead) if stage == 1 and options.lead > 0 else 0.0
+        first = {"bones": options.lead_bones**before, "image": options.lead_image**before}
+        return {name: weight * first.get(name, 1.0) for name, weight in options.weights.items()}
 
     @torch.no_grad()
     def _result(self, losses: dict[str, float]) -> Fit:

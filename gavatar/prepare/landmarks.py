@@ -160,7 +160,7 @@ def landmark_rows(data: BodyData) -> tuple[np.ndarray, np.ndarray]:
 
     Returns a regressor (33, V), points = regressor @ rest vertices, and skinning weights (33, J) of those points.
     The body's rest pose must be a T-pose facing +z with y up. On a body without finger joints the
-    hand's points sit at its wrist.
+    hand's points sit at SMPL's hand joint, or else at its wrist.
     """
     regressor = np.zeros((33, len(data.v_template)))
     weights = np.zeros((33, data.num_joints))
@@ -183,7 +183,8 @@ def landmark_rows(data: BodyData) -> tuple[np.ndarray, np.ndarray]:
             z = data.v_template[foot, 2]
             _one_vertex(data, regressor, weights, k, int(foot[z.argmin() if part == "heel" else z.argmax()]))
         else:
-            j = joint.get(f"{side}_{_JOINTS[part]}", joint[f"{side}_wrist"])
+            hand = joint.get(f"{side}_hand", joint[f"{side}_wrist"])
+            j = joint.get(f"{side}_{_JOINTS[part]}", hand)
             regressor[k] = data.J_regressor[j]
             weights[k, j] = 1
     return regressor, weights

@@ -39,7 +39,10 @@ def spread_vertices(points: np.ndarray, count: int) -> np.ndarray:
 class FitRig:
     """Poses landmarks and surface points of a body as functions of betas, rotations and translation."""
 
-    def __init__(self, data: BodyData, surface_points: int = 1500):
+    def __init__(self, data: BodyData, surface_points: int = 1500, num_betas: int = 10):
+        """num_betas: shape coefficients used, if the body has so many. Neither expression nor pose blendshapes."""
+        shapedirs = data.shapedirs[:, :, :num_betas]
+        self.num_betas = shapedirs.shape[2]
         self.parents = [int(p) for p in data.parents[:SMPL_BODY_JOINTS]]
         regressor, weights = landmark_rows(data)
         chosen = spread_vertices(data.v_template, surface_points)
@@ -47,16 +50,15 @@ class FitRig:
             (data.J_regressor[:SMPL_BODY_JOINTS] @ data.v_template, data.J_regressor[:SMPL_BODY_JOINTS]),
             (regressor @ data.v_template, regressor),
         ]
-        dirs = [np.einsum("pv,vcb->pcb", r, data.shapedirs) for _, r in rows]
+        dirs = [np.einsum("pv,vcb->pcb", r, shapedirs) for _, r in rows]
         self.joints0, self.landmarks0 = (_tensor(base) for base, _ in rows)
         self.joint_dirs, self.landmark_dirs = (_tensor(d) for d in dirs)
-        self.surface0, self.surface_dirs = _tensor(data.v_template[chosen]), _tensor(data.shapedirs[chosen])
+        self.surface0, self.surface_dirs = _tensor(data.v_template[chosen]), _tensor(shapedirs[chosen])
         self.landmark_weights = _tensor(fold_hands(weights, data.parents))
         self.surface_weights = _tensor(fold_hands(data.lbs_weights[chosen], data.parents))
         top, bottom = data.v_template[:, 1].argmax(), data.v_template[:, 1].argmin()
         self.stature0 = float(data.v_template[top, 1] - data.v_template[bottom, 1])
-        self.stature_dirs = _tensor(data.shapedirs[top, 1] - data.shapedirs[bottom, 1])
-        self.num_betas = data.num_betas
+        self.stature_dirs = _tensor(shapedirs[top, 1] - shapedirs[bottom, 1])
 
     def stature(self, betas: Tensor) -> Tensor:
         """() the rest body's height, metres."""

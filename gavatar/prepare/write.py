@@ -36,6 +36,7 @@ class CaptureFacts:
     license: str = "unknown"
     source: str = ""
     body_model: str = "free"
+    gender: str = "neutral"
     holdout_camera: str | None = None
 
 
@@ -114,8 +115,9 @@ def write_capture(
         write_motion(folder / "body.npz", motion)
         info = {
             "version": CAPTURE_VERSION, "name": facts.name, "license": facts.license, "source": facts.source,
-            "fps": motion.fps, "body_model": facts.body_model, "background": "footage", "units": "metres, radians",
-            "world": "y-up", "splits": make_splits(names, len(motion), facts.holdout_camera),
+            "fps": motion.fps, "body_model": facts.body_model, "gender": facts.gender, "background": "footage",
+            "units": "metres, radians", "world": "y-up",
+            "splits": make_splits(names, len(motion), facts.holdout_camera),
         }  # fmt: skip
         write_json(folder / "capture.json", info)
     return scores

@@ -11,12 +11,12 @@ from gavatar.registry import BODIES
 from gavatar_runtime.errors import UserError, did_you_mean
 
 # Captures made on the free body before it had a name of its own call it by its skeleton, which is SMPL-H's.
-_BODIES = {"free": "free", "smplh": "free", "smpl": "smpl", "smplx": "smplx"}
+_BODIES = {"free": "free", "smplh": "free", "smplh-official": "smplh", "smpl": "smpl", "smplx": "smplx"}
 
 
 @dataclasses.dataclass
 class AutoBodyConfig:
-    """path: where the official files of SMPL and SMPL-X are, before $GAVATAR_BODY_MODELS. gender: neutral, male or
+    """path: where the official files are, before $GAVATAR_BODY_MODELS. gender: neutral, male or
     female, '' for what the capture says. hands: as of smplx."""
 
     path: str = ""
@@ -24,7 +24,7 @@ class AutoBodyConfig:
     hands: str = "flat"
 
 
-@BODIES.register("auto", config=AutoBodyConfig, summary="what the capture's poses are of: free, smpl or smplx")
+@BODIES.register("auto", config=AutoBodyConfig, summary="what the capture's poses are of: free, smpl, smplh or smplx")
 class AutoBody:
     """Without a capture, the free body. data, license: its own."""
 
@@ -58,4 +58,4 @@ class AutoBody:
             warnings.warn(f"the free body takes the place of {name}, without its shape: {error}")
             return {"name": "free"}
         options = {"path": config.path, "gender": gender}
-        return {"name": name, **options, **({"hands": config.hands} if name == "smplx" else {})}
+        return {"name": name, **options, **({"hands": config.hands} if name in ("smplx", "smplh") else {})}

@@ -1,0 +1,189 @@
+"""What real footage gives, where no truth is known but the pictures: several calibrated cameras, one held out.
+
+    python benchmarks/real_captures.py ../shared/captures/real_p2s --holdout cam04 --out /tmp/real --figure real.jpg
+    python benchmarks/real_captures.py ../shared/captures/real_turn/video.mp4 --out /tmp/turn
+
+FOOTAGE is a video or a folder as `gavatar-prepare` takes them. It is prepared, an avatar is trained (stage 1, no
+dynamics, sized for two CPU cores), and these are measured:
+
+  masks      intersection over union of the masks found here with those that came with the footage (of another network;
+             neither is the truth), where it came with some
+  body       intersection over union of the fitted body's silhouette with the mask, per camera
+  held out   PSNR and SSIM of the held-out camera's pictures (without --holdout: of every tenth frame, poses fitted to
+             it with the avatar frozen), whole frame on white, and inside the mask's bounding box
+  trained    the same of the training views
+  holes      share of the mask's inside, eroded, where the avatar lets more than a tenth of the background through
+
+--given takes the footage's own landmarks and masks for the capture instead of finding them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+
+from gavatar.build import build_rasterizer
+from gavatar.capture import Capture, View, read_capture
+from gavatar.config import compose_config
+from gavatar.evaluation import Evaluator
+from gavatar.image_quality import mean_psnr, psnr, ssim
+from gavatar.metrics import masked
+from gavatar.motion import MotionTable
+from gavatar.prepare import CaptureFacts, Detector, FitOptions, Source, SourceOptions, open_source, prepare
+from gavatar.prepare.draw import iou
+from gavatar.registry import BODIES, load_plugins
+from gavatar.training.run import Run, open_run, train
+from gavatar_runtime.motion import Motion
+
+HOLE = 0.9  # opacity below which a pixel well inside the mask counts as see-through
+MARGIN = 0.02  # of the mask's box: how far inside the mask that is
+
+
+def detected(source: Path, options: SourceOptions, out: Path) -> Source:
+    """`source` with the person found in it, whatever landmarks and masks lie beside it."""
+    bare = out / "footage"
+    bare.mkdir(parents=True, exist_ok=True)
+    for name in ("videos", "frames", "cameras.json", "video.mp4"):
+        if (source / name).exists() and not (bare / name).exists():
+            (bare / name).symlink_to((source / name).resolve())
+    return open_source(bare, options)
+
+
+def mask_agreement(found: Source, given: Source) -> dict[str, dict]:
+    return {a.name: _spread([iou(x > 127, y > 127) for x, y in zip(a.masks(), b.masks(), strict=True)])
+            for a, b in zip(found.footage, given.footage, strict=True)}  # fmt: skip
+
+
+def _spread(values) -> dict:
+    return {"mean": round(float(np.mean(values)), 4), "worst": round(float(np.min(values)), 4)}
+
+
+@torch.no_grad()
+def opacity(run: Run, view: View, motion: Motion) -> np.ndarray:
+    """(H, W) of the avatar in a view."""
+    table = MotionTable(Motion(motion.poses[view.frame][None], motion.trans[view.frame][None], motion.fps),
+                        motion.poses.shape[1])  # fmt: skip
+    (gaussians,) = run.avatar.pose(run.avatar.attributes(), *table())
+    return build_rasterizer(run.config.rasterizer)(gaussians, run.capture.camera(view), (1.0, 1.0, 1.0)).alpha.numpy()
+
+
+def holes(alpha: np.ndarray, mask: np.ndarray) -> float:
+    """Share of the mask's inside where the avatar is see-through."""
+    _, _, w, h = cv2.boundingRect(mask.astype(np.uint8))
+    side = 2 * max(1, round(MARGIN * max(w, h))) + 1
+    inside = cv2.erode(mask.astype(np.uint8), np.ones((side, side))) > 0
+    return float((alpha[inside] < HOLE).mean()) if inside.any() else 0.0
+
+
+def score(run: Run, evaluator: Evaluator, views: list[View], motion: Motion) -> dict:
+    """Means over `views`, the avatar in the poses of `motion`."""
+    rows = []
+    for view in views:
+        color, alpha = run.capture.load(view)
+        pair = [torch.from_numpy(np.ascontiguousarray(i)).permute(2, 0, 1)[None].clamp(0, 1)
+                for i in (evaluator.render(view, motion), color + (1 - alpha[..., None]))]  # fmt: skip
+        mask = torch.from_numpy(alpha)[None]
+        rows.append((float(psnr(*pair)), float(ssim(*pair)), float(masked(psnr, *pair, mask)),
+                     float(masked(ssim, *pair, mask)), holes(opacity(run, view, motion), alpha > 0.5)))  # fmt: skip
+    table = np.array(rows)
+    return {"views": len(views), "psnr": round(mean_psnr(table[:, 0]), 2), "ssim": round(table[:, 1].mean(), 4),
+            "psnr_in_box": round(mean_psnr(table[:, 2]), 2), "worst_in_box": round(table[:, 2].min(), 2),
+            "ssim_in_box": round(table[:, 3].mean(), 4), "see_through": round(table[:, 4].mean(), 5)}  # fmt: skip
+
+
+def figure(path: Path, run: Run, evaluator: Evaluator, views: list[View], motion: Motion, columns: int = 5) -> None:
+    """Footage, avatar and their difference of a few views, one below the other, cropped to where the person is."""
+    chosen = [views[i] for i in np.linspace(0, len(views) - 1, min(columns, len(views))).astype(int)]
+    loaded = [run.capture.load(view) for view in chosen]
+    x, y, w, h = cv2.boundingRect(np.maximum.reduce([(alpha > 0.5).astype(np.uint8) for _, alpha in loaded]))
+    box = slice(max(0, y - 8), y + h + 8), slice(max(0, x - 8), x + w + 8)
+    stacks = []
+    for view, (color, alpha) in zip(chosen, loaded, strict=True):
+        target = color + (1 - alpha[..., None])
+        image = np.clip(evaluator.render(view, motion), 0, 1)
+        error = np.repeat(1 - np.clip(3 * np.abs(image - target).mean(-1, keepdims=True), 0, 1), 3, -1)
+        stacks.append(np.vstack([i[box] for i in (target, image, error)]))
+    picture = np.round(255 * np.clip(np.hstack(stacks), 0, 1)).astype(np.uint8)[..., ::-1]
+    cv2.imwrite(str(path), picture, [cv2.IMWRITE_JPEG_QUALITY, 88])
+
+
+def body_coverage(capture: Path, scores: np.ndarray, names: list[str]) -> dict:
+    return {name: _spread(row) for name, row in zip(names, scores, strict=True)}
+
+
+def held_out(capture: Capture) -> tuple[str, list[View]]:
+    """The held-out camera at frames whose poses were refined, else the held-out frames."""
+    trained = {view.frame for view in capture.views("train")}
+    novel = [view for view in capture.splits.get("novel_view", []) if view.frame in trained]
+    return ("novel_view", novel) if novel else ("test", list(capture.splits.get("test", [])))
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("footage", type=Path)
+    parser.add_argument("--out", type=Path, required=True, help="folder for the capture, the run, the result")
+    parser.add_argument("--holdout", metavar="CAM", help="camera whose pictures are kept from training")
+    parser.add_argument("--given", action="store_true", help="the footage's own landmarks and masks")
+    parser.add_argument("--frames", default="::4", help="A:B:STEP (default: %(default)s)")
+    parser.add_argument("--size", type=int, default=640, help="longer side, pixels (default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=750, help="of stage 1 (default: %(default)s)")
+    parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="further overrides of the training")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--figure", type=Path)
+    return parser.parse_args()
+
+
+def main() -> None:
+    options = arguments()
+    load_plugins()
+    out, start = options.out, time.perf_counter()
+    out.mkdir(parents=True, exist_ok=True)
+    frames = slice(*(int(part) if part else None for part in options.frames.split(":")))
+    opened = SourceOptions(frames=frames, size=options.size, detector=Detector(out / "masks", progress=False))
+    has_masks = options.footage.is_dir() and (options.footage / "masks").is_dir()
+    given = open_source(options.footage, opened) if has_masks else None
+    if options.given and given is None:
+        raise SystemExit(f"{options.footage} holds no masks and landmarks")
+    source = given if options.given else (
+        detected(options.footage, opened, out) if options.footage.is_dir() else open_source(options.footage, opened)
+    )  # fmt: skip
+    result: dict = {"footage": options.footage.name, "frames": len(source.footage[0].numbers), "size": options.size}
+    if given is not None and source is not given:
+        result["masks"] = mask_agreement(source, given)
+    found = time.perf_counter()
+    facts = CaptureFacts(options.footage.stem, "unknown", "", "free", options.holdout)
+    known = source.footage[0].lens is not None
+    quality = prepare(source, BODIES.build("free").data, out / "capture", facts, overwrite=True, progress=False,
+                      options=FitOptions(refine_cameras=known and len(source.footage) > 1))  # fmt: skip
+    result["body"] = body_coverage(out / "capture", quality.iou, [f.name for f in source.footage])
+    prepared = time.perf_counter()
+    print(json.dumps(result, indent=1), flush=True)
+    if options.steps:
+        overrides = ["experiment=demo", "encoder=none", f"stage1.steps={options.steps}", "stage2.steps=0"]
+        overrides += ["progress=false", f"capture={out / 'capture'}", f"out={out / 'run'}", "overwrite=true"]
+        train(compose_config(overrides + options.set), out / "run")
+        trained = time.perf_counter()
+        run = open_run(out / "run", stage=1)
+        evaluator, motion = Evaluator(run, progress=False), run.motion.motion()
+        kind, views = held_out(run.capture)
+        fitted = motion if kind == "novel_view" else evaluator.fit(views)
+        result["gaussians"] = len(run.avatar.surface)
+        result["held_out"] = {"split": kind, **score(run, evaluator, views, fitted)}
+        result["trained"] = score(run, evaluator, read_capture(out / "capture").views("train")[::5], motion)
+        result["seconds"] = {"finding": round(found - start, 1), "fit_and_write": round(prepared - found, 1),
+                             "stage1": round(trained - prepared, 1)}  # fmt: skip
+        if options.figure:
+            figure(options.figure, run, evaluator, views, fitted)
+    print(json.dumps(result, indent=1))
+    if options.json:
+        options.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
