@@ -17,7 +17,7 @@ from gavatar_runtime.surface import Surface
 
 from .attributes import Attributes
 from .body import Skeleton
-from .skinning import skin, skin_rotations, skinning_weights
+from .skinning import can_skin_sparse, skin, skin_rotations, skin_sparse, skinning_weights
 
 
 @dataclasses.dataclass
@@ -64,6 +64,8 @@ class Avatar(nn.Module):
         for name, values in {
             "points": torch.as_tensor(surface.points, dtype=dtype),
             "weights": skinning_weights(surface, len(self.skeleton.parents), dtype),
+            "joint_index": torch.as_tensor(surface.joint_index, dtype=torch.int32).contiguous(),
+            "joint_weight": torch.as_tensor(surface.joint_weight, dtype=dtype).contiguous(),
             "uv": torch.as_tensor(surface.uv, dtype=dtype),
             "spacing": torch.as_tensor(surface.spacing, dtype=dtype),
         }.items():
@@ -93,14 +95,19 @@ class Avatar(nn.Module):
         leading 1 serve every pose. Returns B sets of Gaussians in the world, opacity 1, isotropic unless the attributes
         have rotations."""
         transforms = self.skeleton.canonical_to_posed(rotations)
-        means = skin(self.points + attributes.offsets, self.weights, transforms) + trans[:, None]
+        points = self.points + attributes.offsets
+        if can_skin_sparse(points):
+            means = skin_sparse(points, self.joint_index, self.joint_weight, transforms)
+        else:
+            means = skin(points, self.weights, transforms)
         quaternions = [None] * len(rotations)
         if attributes.rotations is not None:
             quaternions = skin_rotations(attributes.rotations, self.weights, transforms, self.skeleton.parents)
-        last = len(attributes.colors) - 1
+        # unbound at once: the gradient of each row taken by itself would be a tensor as large as all of them
+        scales, colors = attributes.scales.unbind(), attributes.colors.unbind()
         return [
             Gaussians(
-                means[b], attributes.scales[min(b, last)], attributes.colors[min(b, last)], quaternions=quaternions[b]
+                mean, scales[min(b, len(scales) - 1)], colors[min(b, len(colors) - 1)], quaternions=quaternions[b]
             )
-            for b in range(len(rotations))
+            for b, mean in enumerate((means + trans[:, None]).unbind())
         ]

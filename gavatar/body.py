@@ -6,6 +6,7 @@ reference of the functions here.
 
 from __future__ import annotations
 
+import functools
 from typing import Protocol
 
 import numpy as np
@@ -31,18 +32,34 @@ def joint_transforms(rotations: Tensor, joints: Tensor, parents: list[int]) -> t
 
     rotations: (..., J, 3, 3) local. joints: (J, 3) or (..., J, 3) rest positions, metres. parents: -1 for the root.
     Returns (..., J, 3, 3) and (..., J, 3), without the global translation (SMPL, Loper et al. 2015, equation 3).
+
+    By pointer doubling: a round joins to each joint's transform that of the ancestor where it ends, so that chains of
+    ten joints take four batched products instead of ten times dozens of small ones, which cost a step more than their
+    arithmetic. `gavatar_runtime.kinematics.joint_transforms` goes joint by joint and is the reference.
     """
-    R: list[Tensor] = []
-    p: list[Tensor] = []
-    for j, parent in enumerate(parents):
-        if parent < 0:
-            R.append(rotations[..., j, :, :])
-            p.append(joints[..., j, :].expand(*rotations.shape[:-3], 3))
-        else:
-            bone = joints[..., j, :] - joints[..., parent, :]
-            R.append(R[parent] @ rotations[..., j, :, :])
-            p.append((R[parent] @ bone[..., None])[..., 0] + p[parent])
-    return torch.stack(R, -3), torch.stack(p, -2)
+    parent, rounds = _ancestors(tuple(parents), joints.device)
+    padded = torch.cat([joints, torch.zeros_like(joints[..., :1, :])], -2)  # where the roots' parent stands
+    bones = (joints - padded.index_select(-2, parent)).expand(*rotations.shape[:-2], 3)
+    row = torch.tensor([0.0, 0, 0, 1], dtype=rotations.dtype, device=rotations.device).expand(*bones.shape[:-1], 1, 4)
+    T = torch.cat([torch.cat([rotations, bones[..., None]], -1), row], -2)
+    identity = torch.eye(4, dtype=T.dtype, device=T.device).expand(*T.shape[:-3], 1, 4, 4)
+    for ancestor in rounds:
+        T = torch.cat([T, identity], -3).index_select(-3, ancestor) @ T
+    return T[..., :3, :3], T[..., :3, 3]
+
+
+@functools.lru_cache(maxsize=16)
+def _ancestors(parents: tuple[int, ...], device: torch.device) -> tuple[Tensor, list[Tensor]]:
+    """(J,) each joint's parent, and by round the ancestor 1, 2, 4... generations up; J where there is none."""
+    none = len(parents)
+    ancestor = np.array([p if p >= 0 else none for p in parents] + [none])
+    # cached beyond the caller's mode: tensors made under inference_mode could never be trained through
+    with torch.inference_mode(False):
+        parent, rounds = torch.as_tensor(ancestor[:-1], device=device), []
+        while (ancestor != none).any():
+            rounds.append(torch.as_tensor(ancestor[:-1], device=device))
+            ancestor = ancestor[ancestor]
+    return parent, rounds
 
 
 class PosedBody(torch.nn.Module):

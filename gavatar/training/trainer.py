@@ -142,7 +142,7 @@ class _Stage:
         else:
             groups.append({"params": list(avatar.encoder.parameters()), "lr": self.config.lr_encoder})
         self.base_lr = [group["lr"] for group in groups]
-        self.optimizer = torch.optim.Adam(groups)
+        self.optimizer = torch.optim.Adam(groups, fused=True)  # one pass over each parameter
         options = trainer.config.motion
         self.moves = number == 1 and options.enabled
         self.motion_optimizer = RowAdam(
