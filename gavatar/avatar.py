@@ -12,10 +12,12 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.expression import Expression
 from gavatar_runtime.gaussians import Gaussians
 from gavatar_runtime.surface import Surface
 
 from .attributes import Attributes
+from .blendshapes import expression_of
 from .body import Skeleton
 from .skinning import can_skin_sparse, skin, skin_rotations, skin_sparse, skinning_weights
 
@@ -56,6 +58,7 @@ class Avatar(nn.Module):
             convs = (nn.Conv2d(config.features, config.features, 5, padding=2, bias=False) for _ in range(3))
             self.smooth = nn.Sequential(*convs)
         self.surface: Surface | None = None
+        self._expressions: dict[int, tuple[Surface, Expression | None]] = {}  # by the surface's id
 
     def sample_at(self, surface: Surface) -> None:
         """Place the Gaussians on the points of `surface`."""
@@ -90,12 +93,18 @@ class Avatar(nn.Module):
             return None
         return self.encoder(positional_maps)
 
-    def pose(self, attributes: Attributes, rotations: Tensor, trans: Tensor) -> list[Gaussians]:
-        """Pose decoded points. rotations: (B, J, 3, 3) local joint rotations. trans: (B, 3) metres. Attributes with a
-        leading 1 serve every pose. Returns B sets of Gaussians in the world, opacity 1, isotropic unless the attributes
-        have rotations."""
-        transforms = self.skeleton.canonical_to_posed(rotations)
-        points = self.points + attributes.offsets
+    def pose(
+        self, attributes: Attributes, rotations: Tensor, trans: Tensor, expression: Tensor | None = None
+    ) -> list[Gaussians]:
+        """Pose decoded points. rotations: (B, J, 3, 3) local joint rotations. trans: (B, 3) metres. expression: (B, E)
+        coefficients or None. Attributes with a leading 1 serve every pose. Returns B sets of Gaussians in the world,
+        opacity 1, isotropic unless the attributes have rotations. Raises UserError for an expression that the body has
+        not."""
+        points, shift = self.points + attributes.offsets, None
+        if expression is not None:
+            moved, shift = self._expressed(expression)
+            points = points + moved
+        transforms = self.skeleton.canonical_to_posed(rotations, shift)
         if can_skin_sparse(points):
             means = skin_sparse(points, self.joint_index, self.joint_weight, transforms)
         else:
@@ -111,3 +120,22 @@ class Avatar(nn.Module):
             )
             for b, mean in enumerate((means + trans[:, None]).unbind())
         ]
+
+    def _expressed(self, coefficients: Tensor) -> tuple[Tensor, Tensor]:
+        """What an expression (B, E) adds to the canonical points, (B, N, 3), and to the rest joints, (B, J, 3)."""
+        _, expression = self._expressions.get(id(self.surface), (None, None))
+        if expression is None:
+            expression = expression_of(self.skeleton.data, self.surface)
+            self._expressions[id(self.surface)] = (self.surface, expression)  # which keeps its id its own
+        count = 0 if expression is None else expression.count
+        if coefficients.shape[1] > count:
+            raise UserError(f"the body has {count} expression coefficients, not {coefficients.shape[1]}")
+        used = coefficients.shape[1]
+        directions, joints = (
+            torch.as_tensor(array[..., :used], dtype=coefficients.dtype, device=coefficients.device)
+            for array in (expression.directions, expression.joints)
+        )
+        moved = coefficients.new_zeros(len(coefficients), len(self.surface), 3)
+        rows = torch.as_tensor(expression.rows, dtype=torch.int64, device=coefficients.device)
+        moved[:, rows] = torch.einsum("be,nce->bnc", coefficients, directions)
+        return moved, torch.einsum("be,jce->bjc", coefficients, joints)

@@ -110,16 +110,18 @@ class PosedBody(torch.nn.Module):
 class Skeleton(torch.nn.Module):
     """The differentiable skeleton of one person: rest joints of a shape, parents, canonical pose.
 
-    data: the body. betas: (B,) shape coefficients or None.
+    data: the body. betas: (B,) shape coefficients or None. data is kept for what a surface needs of it.
     """
 
     def __init__(self, data: BodyData, betas: np.ndarray | None = None, dtype: torch.dtype = torch.float32):
         super().__init__()
+        self.data = data
         self.parents = [int(p) for p in data.parents]
         _, joints = data.shaped(betas)
-        canonical = torch.as_tensor(data.canonical_pose(), dtype=dtype)
+        canonical = matrix_from_axis_angle(torch.as_tensor(data.canonical_pose(), dtype=dtype))
         self.register_buffer("joints", torch.as_tensor(joints, dtype=dtype), persistent=False)
-        A_rot, A_trans = self.skinning(matrix_from_axis_angle(canonical))
+        self.register_buffer("_canonical", canonical, persistent=False)
+        A_rot, A_trans = self.skinning(canonical)
         self.register_buffer("_canonical_rot_inv", A_rot.transpose(-1, -2).contiguous(), persistent=False)
         self.register_buffer("_canonical_trans", A_trans, persistent=False)
 
@@ -127,14 +129,20 @@ class Skeleton(torch.nn.Module):
         """(..., J, 3, 3) local rotations -> (..., J, 3) joint positions, metres, without translation."""
         return joint_transforms(rotations, self.joints, self.parents)[1]
 
-    def skinning(self, rotations: Tensor) -> tuple[Tensor, Tensor]:
-        """Rest-to-posed skinning transforms: (..., J, 3, 3) linear part and (..., J, 3) offset."""
-        R, p = joint_transforms(rotations, self.joints, self.parents)
-        return R, p - (R @ self.joints[..., None])[..., 0]
+    def skinning(self, rotations: Tensor, shift: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Rest-to-posed skinning transforms: (..., J, 3, 3) linear part and (..., J, 3) offset. shift: (..., J, 3)
+        metres that the rest joints are moved by, or None."""
+        joints = self.joints if shift is None else self.joints + shift
+        R, p = joint_transforms(rotations, joints, self.parents)
+        return R, p - (R @ joints[..., None])[..., 0]
 
-    def canonical_to_posed(self, rotations: Tensor) -> Tensor:
-        """(..., J, 3, 4) transforms from the canonical pose to the pose: A_live A_canonical^-1, inverted rigidly."""
-        R, t = self.skinning(rotations)
+    def canonical_to_posed(self, rotations: Tensor, shift: Tensor | None = None) -> Tensor:
+        """(..., J, 3, 4) transforms from the canonical pose to the pose: A_live A_canonical^-1, inverted rigidly.
+        shift: as in `skinning`, an expression's."""
+        R, t = self.skinning(rotations, shift)
         linear = R @ self._canonical_rot_inv
-        offset = t - (linear @ self._canonical_trans[..., None])[..., 0]
+        start = self._canonical_trans
+        if shift is not None:
+            start = self.skinning(self._canonical.expand_as(rotations), shift)[1]
+        offset = t - (linear @ start[..., None])[..., 0]
         return torch.cat([linear, offset[..., None]], -1)

@@ -12,7 +12,7 @@ import torch
 
 from gavatar_runtime.body import BodyData
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.skeletons import fit_motion
+from gavatar_runtime.skeletons import EXPRESSIONS, HAND_DATA, fit_motion
 from gavatar_runtime.surface import Surface
 
 from .avatar import Avatar, AvatarConfig
@@ -84,9 +84,17 @@ def capture_on_body(capture: Capture, data: BodyData) -> Capture:
     for key in ("motion", "truth"):
         motion = getattr(capture, key)
         if motion is not None:
-            fitted[key], ignored = fit_motion(motion, data.joint_names, data.rest_pose)
-            if ignored and key == "motion":
-                warnings.warn(f"body '{data.name}' lacks joints that move in {capture.path}: {', '.join(ignored)}")
+            fitted[key], ignored = fit_motion(
+                motion, data.joint_names, data.rest_pose, hands=data.hands, num_expression=data.num_expression
+            )
+            others = [name for name in ignored if name in (HAND_DATA, EXPRESSIONS)]
+            joints = [name for name in ignored if name not in others]
+            if joints and key == "motion":
+                warnings.warn(f"body '{data.name}' lacks joints that move in {capture.path}: {', '.join(joints)}")
+            if others and key == "motion":
+                warnings.warn(
+                    f"body '{data.name}' has no {' and no '.join(others)}: those of {capture.path} are ignored"
+                )
     return dataclasses.replace(capture, **fitted)
 
 

@@ -5,7 +5,7 @@ On disk (format version 1)::
     capture.json     version, name, license, source, fps, body_model, background, splits
     cameras.json     per camera: width, height, fx, fy, cx, cy, world_to_camera (4x4)
     images/CAM/%06d.png|jpg     masks/CAM/%06d.png (8-bit alpha)
-    body.npz         AMASS keys: poses (T, 3J), trans, betas, mocap_framerate, gender
+    body.npz         AMASS keys: poses (T, 3J), trans, betas, mocap_framerate, gender; expression (T, E) optional
     body_truth.npz   optional ground truth, read by evaluation only
 
 Frame numbers index the rows of body.npz.

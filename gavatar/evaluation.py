@@ -127,10 +127,11 @@ class Evaluator:
 
     def _render(self, view: View, motion: Motion) -> Tensor:
         run = self.run
-        poses = check_motion_fits(motion.poses[view.frame][None], run.built.body.data.num_joints)
+        one = motion.taken([view.frame])
+        poses = check_motion_fits(one.poses, run.built.body.data.num_joints)
         attributes = self._static or run.avatar.attributes(pose_features(run.avatar, run.built, poses))
-        table = MotionTable(Motion(poses, motion.trans[view.frame][None], motion.fps), poses.shape[1])
-        (gaussians,) = run.avatar.pose(attributes, *table.to(self.device)())
+        table = MotionTable(one, poses.shape[1]).to(self.device)
+        (gaussians,) = run.avatar.pose(attributes, *table(), table.expression())
         camera = run.capture.camera(view)
         return self.rasterize(as_trained(gaussians, camera, run.pixel), camera, WHITE).color
 
@@ -197,7 +198,8 @@ def fit_motion(
             for r in part:
                 view, camera = data.views[r], data.cameras[r]
                 i = row[view.frame]
-                (gaussians,) = avatar.pose(attributes[view.frame], rotations[i : i + 1], trans[i : i + 1])
+                pose = rotations[i : i + 1], trans[i : i + 1], table.expression([view.frame])
+                (gaussians,) = avatar.pose(attributes[view.frame], *pose)
                 rendering = rasterize(gaussians, camera, WHITE)
                 images.append(rendering.color.permute(2, 0, 1))
                 alphas.append(rendering.alpha)

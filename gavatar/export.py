@@ -14,10 +14,20 @@ from onnx import helper
 
 from gavatar_runtime.avatar import Avatar as PlayedAvatar
 from gavatar_runtime.body import check_motion_fits
-from gavatar_runtime.bundle import FORMAT_VERSION, Manifest, pack_body, pack_surfaces, read_bundle, write_bundle
+from gavatar_runtime.bundle import (
+    FORMAT_VERSION,
+    Manifest,
+    pack_arrays,
+    pack_body,
+    pack_surfaces,
+    read_bundle,
+    write_bundle,
+)  # fmt: skip
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.expression import MEMBER as EXPRESSION
 from gavatar_runtime.motion import Motion
 
+from .blendshapes import expression_of
 from .evaluation import pose_features
 from .graphs import OPSET, decoder_model, encoder_model
 from .motion import MotionTable
@@ -41,15 +51,19 @@ class ExportCheck:
 
 
 def verify(path: Path, run: Run, poses: int = 8) -> ExportCheck:
-    """Compare a bundle, as the player reads it, with the PyTorch model on refined poses of the capture."""
+    """Compare a bundle, as the player reads it, with the PyTorch model on refined poses of the capture; with
+    expressions of the capture, or made up ones, where the body has any."""
     played = PlayedAvatar(read_bundle(path))
     motion = run.motion.motion()
+    if played.expression is not None and motion.expression is None:
+        made_up = np.sin(np.arange(len(motion))[:, None] + np.arange(played.expression.count))
+        motion = dataclasses.replace(motion, expression=made_up.astype(np.float32))
     frames = sorted({view.frame for view in run.capture.views("train")})
     frames = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, poses).astype(int))]
     errors = []
     for frame in frames:
         expected = torch_gaussians(run, motion, frame)
-        got = played.gaussians(motion.poses[frame], motion.trans[frame])
+        got = played.gaussians(*motion.at(frame))
         errors.append(
             [
                 float(np.linalg.norm(got.means - expected.means.numpy(), axis=-1).max()),
@@ -64,10 +78,11 @@ def verify(path: Path, run: Run, poses: int = 8) -> ExportCheck:
 @torch.no_grad()
 def torch_gaussians(run: Run, motion: Motion, frame: int):
     """The trained avatar's Gaussians in the pose of one frame of `motion`, torch tensors."""
-    poses = check_motion_fits(motion.poses[frame][None], run.built.body.data.num_joints)
+    one = motion.taken([frame])
+    poses = check_motion_fits(one.poses, run.built.body.data.num_joints)
     attributes = run.avatar.attributes(pose_features(run.avatar, run.built, poses))
-    table = MotionTable(Motion(poses, motion.trans[frame][None], motion.fps), poses.shape[1])
-    return run.avatar.pose(attributes, *table())[0]
+    table = MotionTable(one, poses.shape[1])
+    return run.avatar.pose(attributes, *table(), table.expression())[0]
 
 
 def export(
@@ -98,7 +113,10 @@ def export(
         encoder_map = run.built.surface(avatar.encoder.map_size)
     members["surface.npz"] = pack_surfaces(run.built.surface(run.uv), encoder_map)
     joints = data.shaped(run.built.betas)[1]
-    members["body.npz"] = pack_body(data.joint_names, data.parents, joints, run.built.betas, data.rest_pose)
+    members["body.npz"] = pack_body(data.joint_names, data.parents, joints, run.built.betas, data.rest_pose, data.hands)
+    expression = expression_of(data, run.built.surface(run.uv))
+    if expression is not None:
+        members[EXPRESSION] = pack_arrays(expression.to_arrays())
     source = TierSource(run, avatar.surface, lambda model: _with_metadata(model, manifest), progress)
     for name in tiers:
         members |= TIERS.build(name).build(source)
@@ -137,7 +155,7 @@ def export_front(run: Run, path: str | Path, poses: int = 8, *, uv: int | None =
         bundle = read_bundle(draft)
         members = {name: bundle.read(name) for name in bundle.manifest.members}
     kept = on_front(manifest.tiers)
-    wanted = set(manifest.required) | {m for tier in kept for m in tier["members"]}
+    wanted = set(manifest.required) | {EXPRESSION} | {m for tier in kept for m in tier["members"]}
     return write_bundle(
         path, dataclasses.replace(manifest, tiers=kept), {k: v for k, v in members.items() if k in wanted}
     )
@@ -190,6 +208,7 @@ def _manifest(run: Run) -> Manifest:
             "model": data.name,
             "joints": data.num_joints,
             "betas": data.num_betas,
+            "expression": data.num_expression,
             "license": getattr(run.built.body, "license", "unknown"),
         },
         components={"encoder": config.encoder["name"] if dynamic else "none", "decoder": config.decoder["name"]},

@@ -20,7 +20,8 @@ class MotionTable(nn.Module):
     small, so nothing wraps at pi, whatever the estimate's own axis-angle does. `joints`: how many of the first joints
     are corrected (the 22 body joints by default; fingers are hardly ever seen well enough).
 
-    rotation_correction: (T, joints, 3) radians. trans_correction: (T, 3) metres. Both start at zero.
+    rotation_correction: (T, joints, 3) radians. trans_correction: (T, 3) metres. Both start at zero. An expression is
+    taken as it is given.
     """
 
     def __init__(self, motion: Motion, num_joints: int, joints: int = SMPL_BODY_JOINTS):
@@ -31,6 +32,8 @@ class MotionTable(nn.Module):
         initial = matrix_from_axis_angle(torch.as_tensor(poses, dtype=torch.float64)).float()
         self.register_buffer("initial_rotations", initial, persistent=False)
         self.register_buffer("initial_trans", torch.as_tensor(trans), persistent=False)
+        expression = None if motion.expression is None else torch.as_tensor(motion.expression, dtype=torch.float32)
+        self.register_buffer("_expression", expression, persistent=False)
         self.joints = min(joints, num_joints)
         self.rotation_correction = nn.Parameter(torch.zeros(len(poses), self.joints, 3))
         self.trans_correction = nn.Parameter(torch.zeros(len(poses), 3))
@@ -45,12 +48,17 @@ class MotionTable(nn.Module):
         rotations = torch.cat([corrected, initial[:, self.joints :]], 1)
         return rotations, self.initial_trans[frames] + self.trans_correction[frames]
 
+    def expression(self, frames: Tensor | slice | list[int] = slice(None)) -> Tensor | None:
+        """(B, E) expression coefficients of the given frames, None of a motion without any."""
+        return None if self._expression is None else self._expression[frames]
+
     @torch.no_grad()
     def motion(self, name: str = "refined") -> Motion:
         """The corrected motion as plain arrays."""
         rotations, trans = self()
         poses = axis_angle_from_matrix(rotations.double().cpu().numpy()).astype(np.float32)
-        return Motion(poses, trans.cpu().numpy(), self.fps, self.betas, name)
+        expression = None if self._expression is None else self._expression.cpu().numpy()
+        return Motion(poses, trans.cpu().numpy(), self.fps, self.betas, name, expression=expression)
 
 
 class RowAdam(torch.optim.Optimizer):

@@ -140,10 +140,10 @@ def measure_speed(
     avatar, rasterizer = row.choice.open(bundle, threads), row.choice.rasterizer(threads)
     start = perf_counter()
     for i in range(2):
-        rasterizer.render(avatar.gaussians(motion.poses[i % len(motion)], motion.trans[i % len(motion)]), camera, WHITE)
+        rasterizer.render(avatar.gaussians(*motion.at(i % len(motion))), camera, WHITE)
     each = (perf_counter() - start) / 2
     count = min(len(motion), max(WARM + 3, int(budget_s / max(each, 1e-4))))
-    part = dataclasses.replace(motion, poses=motion.poses[:count], trans=motion.trans[:count])
+    part = motion.taken(slice(count))
     timings = play(avatar, part, camera, rasterizer, _Nowhere())
     walls = 1e3 * np.array(timings.walls[WARM:])
     # where decodes are reused, frames with one and without take turns: what counts is the mean of a turn
@@ -170,9 +170,9 @@ def images(choice: Choice, bundle: Bundle, motion: Motion, frames: Sequence[int]
         if choice.reuse > 1:
             at = max(at, frame - 2 * choice.reuse)
             for earlier in range(at, frame):
-                avatar.gaussians(motion.poses[earlier], motion.trans[earlier])
+                avatar.gaussians(*motion.at(earlier))
         at = frame + 1
-        gaussians = as_trained(avatar.gaussians(motion.poses[frame], motion.trans[frame]), camera, avatar.pixel)
+        gaussians = as_trained(avatar.gaussians(*motion.at(frame)), camera, avatar.pixel)
         result.append(np.clip(rasterizer.render(gaussians, camera, WHITE).color, 0, 1).copy())
     return result
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from official_bodies import dressed_free_body, write_npz
 
+from gavatar.blendshapes import expression_of
 from gavatar.body_files import FAMILIES, read_body
 from gavatar.surface import sample_surface
 from gavatar_runtime.camera import Camera
@@ -53,25 +54,38 @@ def camera(size: int, target=(0.0, 0.95, 0.0), distance: float = 4.0, fov: float
     return Camera(size, size, focal, focal, size / 2, size / 2, world_to_camera)
 
 
-def true_gaussians(surface, data, pose: np.ndarray, trans: np.ndarray) -> Gaussians:
-    means = skin(surface.points, surface.joint_index, surface.joint_weight, surface.skin_transforms(pose))
+def expressions(frames: int = 6) -> np.ndarray:
+    """(T, 10) coefficients: the first two grow, the others are still."""
+    phase = np.linspace(0, 1, frames)
+    return np.stack([2.5 * phase, -1.5 * phase**2, *np.zeros((8, frames))], 1).astype(np.float32)
+
+
+def true_gaussians(surface, data, pose: np.ndarray, trans: np.ndarray, expression=None) -> Gaussians:
+    points, shift = surface.points, None
+    if expression is not None:
+        directions = expression_of(data, surface)
+        points, shift = directions.points(points, expression), directions.joints @ expression
+    means = skin(points, surface.joint_index, surface.joint_weight, surface.skin_transforms(pose, shift))
     return Gaussians(means + trans, 0.7 * surface.spacing, part_colors(surface, data))
 
 
-def write_smplx_capture(folder: Path, data, size: int = 192, frames: int = 6, joints: int = 55) -> Path:
-    """`frames` views of the person; with joints=52 body.npz holds the same poses in SMPL-H's order (no face)."""
+def write_smplx_capture(folder: Path, data, size: int = 192, frames: int = 6, joints: int = 55, face=False) -> Path:
+    """`frames` views of the person; with joints=52 body.npz holds the same poses in SMPL-H's order (no face); with
+    `face` the expression changes too, and body.npz says so."""
     poses, trans = hand_motion(data, frames)
     surface, view = sample_surface(data, BETAS, 256), camera(size)
     for kind in ("images", "masks"):
         (folder / kind / "cam0").mkdir(parents=True)
-    rasterizer = build_rasterizer()
+    rasterizer, expression = build_rasterizer(), expressions(frames) if face else None
     for t in range(frames):
-        out = rasterizer.render(true_gaussians(surface, data, poses[t], trans[t]), view, (1, 1, 1))
+        shown = true_gaussians(surface, data, poses[t], trans[t], expression[t] if face else None)
+        out = rasterizer.render(shown, view, (1, 1, 1))
         pixels = np.round(np.clip(out.color, 0, 1) * 255).astype(np.uint8)
         cv2.imwrite(str(folder / "images/cam0" / f"{t:06d}.png"), pixels[..., ::-1])
         cv2.imwrite(str(folder / "masks/cam0" / f"{t:06d}.png"), np.round(out.alpha * 255).astype(np.uint8))
     written = poses if joints == 55 else np.delete(poses, slice(22, 25), 1)
-    np.savez(folder / "body.npz", poses=written.reshape(frames, -1), trans=trans, betas=BETAS, mocap_framerate=15.0)
+    body = {"poses": written.reshape(frames, -1), "trans": trans, "betas": BETAS, "mocap_framerate": 15.0}
+    np.savez(folder / "body.npz", **body, **({"expression": expression} if face else {}))
     fields = {
         "width": size, "height": size, "fx": view.fx, "fy": view.fy, "cx": view.cx, "cy": view.cy,
         "world_to_camera": view.T_camera_world.tolist(),

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from make_bundle import free_body
 
 from gavatar_runtime import plugins
-from gavatar_runtime.body import SMPL_BODY_JOINTS
+from gavatar_runtime.body import SMPL_BODY_JOINTS, Hands
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.kinematics import joint_transforms
-from gavatar_runtime.motion import Motion
+from gavatar_runtime.motion import HandParameters, Motion
 from gavatar_runtime.motions import MOTIONS, read_motion
 from gavatar_runtime.rotations import matrix_from_axis_angle
 from gavatar_runtime.skeletons import BODY, SMPL, SMPLH, SMPLX, fit_motion
@@ -386,6 +386,52 @@ def test_a_skeleton_of_unknown_size_keeps_the_order_of_its_joints():
     assert fitted.poses.shape == (2, 24, 3)
     assert ignored == ()
     assert not fitted.poses[:, 5:].any()
+
+
+def hands_of(count=12):
+    rng = np.random.default_rng(3)
+    return Hands(rng.normal(0, 0.3, (2, 15, 3)), rng.normal(0, 0.3, (2, count, 45)))
+
+
+@pytest.mark.parametrize("pca", [True, False])
+@pytest.mark.parametrize("relative", [True, False])
+@pytest.mark.parametrize("names", [SMPLH, SMPLX], ids=["smplh", "smplx"])
+def test_hand_parameters_become_finger_rotations_by_the_bodys_hand_data(names, pca, relative):
+    hands, motion = hands_of(), named_motion(BODY)
+    values = np.random.default_rng(0).normal(0, 0.5, (2, 2, 6 if pca else 45)).astype(np.float32)
+    motion = dataclasses.replace(motion, hands=HandParameters(values, pca, relative))
+    fitted, ignored = fit_motion(motion, names, np.full((len(names), 3), 0.7), hands=hands)
+    assert ignored == ()
+    assert fitted.hands is None
+    for side, finger in ((0, "left_index1"), (1, "right_index1")):
+        rotations = values[:, side] @ hands.components[side][:6] if pca else values[:, side]
+        expected = rotations + (hands.mean[side].reshape(45) if relative else 0)
+        at = names.index(finger)
+        np.testing.assert_allclose(fitted.poses[:, at : at + 15].reshape(2, 45), expected, atol=1e-6)  # float32
+    if names is SMPLX:
+        np.testing.assert_allclose(fitted.poses[:, names.index("jaw")], 0.7, atol=1e-6)
+
+
+@pytest.mark.parametrize("hands", [None, hands_of(0), hands_of(5)], ids=["none", "empty", "too few"])
+def test_hand_parameters_that_the_body_has_no_data_for_are_named_and_left_at_rest(hands):
+    motion = named_motion(BODY)
+    motion = dataclasses.replace(motion, hands=HandParameters(np.ones((2, 2, 6), np.float32)))
+    fitted, ignored = fit_motion(motion, SMPLH, np.full((52, 3), 0.2), hands=hands)
+    assert ignored == ("hand components",)
+    np.testing.assert_allclose(fitted.poses[:, 22:], 0.2)
+    assert fit_motion(motion, SMPL, hands=hands_of())[1] == ("hand components",)  # data, but no fingers
+    still = dataclasses.replace(motion, hands=HandParameters(np.zeros((2, 2, 6), np.float32)))
+    assert fit_motion(still, SMPLH)[1] == ()
+
+
+def test_expressions_are_cut_to_what_the_body_has_and_named_where_it_has_none():
+    motion = dataclasses.replace(named_motion(BODY), expression=np.ones((2, 50), np.float32))
+    assert fit_motion(motion, SMPLX, num_expression=10)[0].expression.shape == (2, 10)
+    assert fit_motion(motion, SMPLX, num_expression=60)[0].expression.shape == (2, 50)
+    fitted, ignored = fit_motion(motion, SMPLX)
+    assert ignored == ("expressions",)
+    assert fitted.expression is None
+    assert fit_motion(dataclasses.replace(motion, expression=0 * motion.expression), SMPLX)[1] == ()
 
 
 def test_a_motion_for_a_body_of_foreign_joint_names_keeps_its_order():

@@ -279,7 +279,7 @@ def test_by_default_the_video_lies_next_to_the_bundle(tmp_path):
 def test_joints_that_the_body_lacks_are_reported(played, tmp_path, capsys):
     np.savez(tmp_path / "m.npz", poses=np.full((1, 72), 0.1), mocap_framerate=30.0)
     assert played("--motion", tmp_path / "m.npz", out="s.png") == 0
-    assert "the body has no left_hand, right_hand; their rotations are ignored" in capsys.readouterr().err
+    assert "the body has no left_hand, right_hand; the motion's are ignored" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,11 @@ import shutil
 
 import numpy as np
 import pytest
-from smplx_capture import hand_motion, write_smplx_capture, write_smplx_model
+import torch
+from smplx_capture import expressions, hand_motion, write_smplx_capture, write_smplx_model
 from tiny_capture import SMALL, write_tiny_capture
 
+from gavatar.blendshapes import expression_of
 from gavatar.build import build_body, capture_on_body, open_capture
 from gavatar.config import compose_config
 from gavatar.evaluation import motion_errors
@@ -22,6 +24,7 @@ from gavatar.surface import sample_surface
 from gavatar.training.run import open_run, train
 from gavatar_runtime.avatar import Avatar
 from gavatar_runtime.bundle import read_bundle
+from gavatar_runtime.cli.play import main as play
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.motions import read_motion
@@ -37,7 +40,7 @@ def models(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def capture(models, tmp_path_factory):
-    return write_smplx_capture(tmp_path_factory.mktemp("capture") / "hands", models[1])
+    return write_smplx_capture(tmp_path_factory.mktemp("capture") / "hands", models[1], face=True)
 
 
 def trained(capture, folder, out, *overrides):
@@ -89,7 +92,7 @@ def test_the_played_avatar_is_the_trained_one_and_its_hands_and_jaw_move(run, bu
     avatar, motion = Avatar(bundle), run.motion.motion()
     assert avatar.joint_names == models[1].joint_names
     for frame in (0, 5):
-        got, expected = avatar.gaussians(motion.poses[frame], motion.trans[frame]), torch_gaussians(run, motion, frame)
+        got, expected = avatar.gaussians(*motion.at(frame)), torch_gaussians(run, motion, frame)
         assert np.abs(got.means - expected.means.numpy()).max() < 1e-5  # float32, two engines, metres from the origin
         assert np.abs(got.colors - expected.colors.numpy()).max() < 1e-4
     rest = np.zeros((55, 3), np.float32)
@@ -131,12 +134,86 @@ def test_motions_in_smplh_order_move_the_fingers_not_the_jaw(bundle, name):
 def test_a_bundle_holds_no_more_of_the_model_than_playing_needs(bundle, models):
     read = read_bundle(bundle)
     body = read.arrays("body.npz")
-    assert set(body) == {"joint_names", "parents", "joints", "betas", "rest_pose"}
+    assert set(body) == {"joint_names", "parents", "joints", "betas", "rest_pose", "hands_mean", "hands_components"}
     count = len(models[1].v_template)
-    for member in ("surface.npz", "body.npz"):
+    for member in ("surface.npz", "body.npz", "expression.npz"):
         for key, array in read.arrays(member).items():
             assert count not in array.shape, key  # nothing by vertex: no template, blendshapes, weights, regressor
     assert "SMPL-X Model License" in read.manifest.body["license"]
+
+
+# expressions and hand coefficients
+
+
+def test_training_poses_the_expression_of_the_capture(run):
+    np.testing.assert_array_equal(run.motion.motion().expression, expressions())
+    avatar, motion = run.avatar, run.motion.motion()
+    with_it, without = (
+        torch_gaussians(run, m, 5).means for m in (motion, dataclasses.replace(motion, expression=None))
+    )
+    moved = np.linalg.norm(with_it - without, axis=1)
+    mouth = expression_of(run.built.body.data, avatar.surface).rows
+    assert moved.max() > 0.003  # metres
+    still = np.setdiff1d(np.arange(len(moved)), mouth)
+    assert moved[still].max() < 5e-4  # the head's joints rest on vertices that the mouth moves a little
+    assert len(mouth) < 0.1 * len(moved)
+
+
+def test_the_played_expression_is_the_trained_one(run, bundle):
+    avatar, motion = Avatar(bundle), run.motion.motion()
+    assert avatar.expression.count == 10
+    rest = avatar.gaussians(motion.poses[5], motion.trans[5]).means.copy()
+    got = avatar.gaussians(*motion.at(5)).means.copy()
+    # float16 directions of at most 1 cm times coefficients of 2.5
+    assert np.abs(got - torch_gaussians(run, motion, 5).means.numpy()).max() < 2e-5
+    assert np.abs(got - rest).max() > 0.003
+    np.testing.assert_array_equal(avatar.gaussians(*motion.at(5)[:2], np.zeros(10)).means, rest)
+    np.testing.assert_array_equal(avatar.gaussians(*motion.at(5)[:2], motion.expression[5, :2]).means, got)  # padded
+    coarse = Avatar(bundle, uv=64)
+    near = coarse.gaussians(*motion.at(5)).means
+    full = got[np.isin(avatar.surface.texel, coarse.surface.texel)]
+    np.testing.assert_allclose(near, full, atol=1e-6)
+    assert (coarse.expression.rows < len(coarse)).all()
+
+
+def test_impossible_expressions_are_refused(bundle, run, tmp_path):
+    avatar, pose = Avatar(bundle), np.zeros((55, 3), np.float32)
+    with pytest.raises(ValueError, match=r"\(11,\), this avatar has 10"):
+        avatar.gaussians(pose, None, np.ones(11))
+    with pytest.raises(UserError, match="NaN"):
+        avatar.gaussians(pose, None, np.full(10, np.nan))
+    motion = Motion(pose[None], np.zeros((1, 3)), 30.0, expression=np.full((1, 10), np.inf))
+    with pytest.raises(UserError, match="infinite expression at frame 0"):
+        avatar.fit(motion)
+    with pytest.raises(UserError, match="10 expression coefficients, not 11"):
+        run.avatar._expressed(torch.ones(1, 11))
+
+
+def test_a_motion_file_with_coefficients_moves_face_and_fingers(bundle, models, tmp_path):
+    rng, hands = np.random.default_rng(0), models[1].hands
+    left, right = rng.normal(0, 0.6, (2, 2, 12))
+    body = {"global_orient": np.zeros((2, 3)), "body_pose": np.zeros((2, 63)), "jaw_pose": np.zeros((2, 3))}
+    hand = {"left_hand_pose": left, "right_hand_pose": right}
+    np.savez(tmp_path / "m.npz", mocap_framerate=30, expression=expressions(2), **body, **hand)
+    avatar = Avatar(bundle)
+    motion, ignored = avatar.fit(read_motion(tmp_path / "m.npz", up="y"))
+    assert ignored == ()
+    expected = models[1].full_pose(left_hand=left, right_hand=right, pca=True)
+    assert models[1].hands.relative is False  # `models` is read with flat hands; the file's are about the mean
+    expected[:, -30:] += hands.mean.reshape(30, 3)
+    np.testing.assert_allclose(motion.poses, expected, atol=1e-6)
+    np.testing.assert_array_equal(motion.expression, expressions(2))
+    out = tmp_path / "sheet.png"
+    with pytest.raises(SystemExit) as done:
+        play([str(bundle), "--motion", str(tmp_path / "m.npz"), "--out", str(out), "--size", "64"])
+    assert done.value.code == 0
+    assert out.exists()
+
+
+def test_a_body_without_a_face_says_that_it_ignores_the_expression(capture, models):
+    free = BODIES.build("free").data
+    with pytest.warns(UserWarning, match="body 'free' has no expressions: those of .* are ignored"):
+        assert capture_on_body(open_capture(capture), free).motion.expression is None
 
 
 def test_poses_in_smplh_order_train_the_same_hands(models, tmp_path):

@@ -23,7 +23,7 @@ def row(avatar: Avatar, rasterizer, clip: str, columns: int, side: int) -> np.nd
         t = int(t)
         one = type(motion)(np.concatenate([front, motion.poses[t : t + 1]]), motion.trans[[t, t]], 1.0)
         camera = frame_motion(avatar, one, side, side)
-        gaussians = avatar.gaussians(motion.poses[t], motion.trans[t])
+        gaussians = avatar.gaussians(*motion.at(t))
         images.append(
             rasterizer.render(gaussians, camera, (1, 1, 1)).color.copy()
         )  # the native kernel draws into the same memory

@@ -55,14 +55,16 @@ class AdaptiveAvatar:
     def __len__(self) -> int:
         return len(self.finest)
 
-    def gaussians(self, pose: np.ndarray, trans: np.ndarray | None = None) -> Gaussians:
+    def gaussians(
+        self, pose: np.ndarray, trans: np.ndarray | None = None, expression: np.ndarray | None = None
+    ) -> Gaussians:
         """The avatar in one pose at the present level (see `Avatar.gaussians`)."""
         level = self.level
         if level not in self._avatars:
             self._avatars[level] = self._make(*self.levels[level])
         avatar = self._avatars[level]
         avatar.with_normals = self.with_normals
-        result = avatar.gaussians(pose, trans)
+        result = avatar.gaussians(pose, trans, expression)
         self.stage_seconds = avatar.stage_seconds
         self.frames[level] += 1
         return result

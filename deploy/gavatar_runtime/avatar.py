@@ -8,9 +8,12 @@ from time import perf_counter
 
 import numpy as np
 
+from .body import Hands
 from .bundle import Bundle, read_bundle
 from .detail import thinned
 from .errors import UserError
+from .expression import MEMBER as EXPRESSION
+from .expression import Expression
 from .gaussians import Gaussians
 from .motion import Motion
 from .skeletons import fit_motion, scaled_to_legs
@@ -27,8 +30,9 @@ class Avatar:
     reuse: decode every so many calls only and fade from one result to the next in between, which lags by as many; it
     takes the calls for the frames of one motion. threads: of ONNX Runtime within one operator, None for one a core.
     joint_names: of the body, J names. joints: (J, 3) rest joints of its shape, metres. surface: where its N Gaussians
-    sit. with_normals: whether `gaussians` shall give normals, for rasterizers that want them.
-    stage_seconds: what the last call of `gaussians` spent on `encode`, `decode` and `skin`.
+    sit. expression: `Expression` of bodies that have a face, or None. with_normals: whether `gaussians` shall give
+    normals, for rasterizers that want them. stage_seconds: what the last call of `gaussians` spent on `encode`,
+    `decode` and `skin`.
     Raises UserError for a bundle that cannot be read or that ONNX Runtime cannot load.
     """
 
@@ -51,7 +55,8 @@ class Avatar:
         chosen, added = (None, None) if uv is None or uv == stored.resolution else thinned(stored, uv)
         self.surface = stored if chosen is None else _taken(stored, chosen)
         self.joints = self.surface.joints
-        self.joint_names, self._rest_pose = self._read_body()
+        self.joint_names, self._rest_pose, self._hands = self._read_body()
+        self.expression = self._read_expression(len(stored), chosen)
         self.with_normals = False
         self.stage_seconds: dict[str, float] = {}
         self.tier = tier
@@ -78,25 +83,32 @@ class Avatar:
         return self.bundle.manifest.dynamic
 
     def fit(self, motion: Motion) -> tuple[Motion, tuple[str, ...]]:
-        """The motion brought to this body's joints, and the names of moving joints that the body lacks.
+        """The motion brought to this body's joints, and the names of what moves in it that the body lacks.
 
-        Raises UserError for a NaN or infinite pose or translation.
+        Raises UserError for a NaN or infinite pose, translation or expression.
         """
-        motion, ignored = fit_motion(motion, self.joint_names, self._rest_pose)
+        count = 0 if self.expression is None else self.expression.count
+        motion, ignored = fit_motion(motion, self.joint_names, self._rest_pose, hands=self._hands, num_expression=count)
         motion = scaled_to_legs(motion, self.joint_names, self.joints)
-        for key, array in (("pose", motion.poses), ("translation", motion.trans)):
+        rows = {"pose": motion.poses, "translation": motion.trans, "expression": motion.expression}
+        for key, array in rows.items():
+            if array is None:
+                continue
             bad = ~np.isfinite(array.reshape(len(array), -1)).all(1)
             if bad.any():
                 raise UserError(f"motion '{motion.name}' has a NaN or infinite {key} at frame {int(np.argmax(bad))}")
         return motion, ignored
 
-    def gaussians(self, pose: np.ndarray, trans: np.ndarray | None = None) -> Gaussians:
+    def gaussians(
+        self, pose: np.ndarray, trans: np.ndarray | None = None, expression: np.ndarray | None = None
+    ) -> Gaussians:
         """The avatar in one pose.
 
         pose: (J, 3) axis-angle relative to the parent joint, radians; with another number of joints it is fitted as
-        `fit` does. trans: (3,) metres, zero if None. Returns N isotropic Gaussians in the world, float32, opaque; their
+        `fit` does. trans: (3,) metres, zero if None. expression: (E,) coefficients or fewer, zero if None; an avatar
+        whose `expression` is None takes none. Returns N isotropic Gaussians in the world, float32, opaque; their
         arrays are filled again by the third call from this one, so copy what is to be kept.
-        Raises UserError for a NaN or infinite pose.
+        Raises UserError for a NaN or infinite pose or expression, ValueError for an expression that it cannot have.
         """
         pose = np.asarray(pose, np.float32)
         if pose.ndim != 2 or pose.shape[1] != 3:
@@ -108,7 +120,10 @@ class Avatar:
 
         points, colors, scales = self._decode(pose)
         decoded = perf_counter()
-        A = self.surface.skin_transforms(pose)
+        shift = None
+        if expression is not None and np.any(expression):
+            points, shift = self._expressed(points, np.asarray(expression, np.float32))
+        A = self.surface.skin_transforms(pose, shift)
         A[:, :3, 3] += trans
         self._calls += 1
         out = self._means[self._calls % 3]
@@ -119,6 +134,16 @@ class Avatar:
             normals = skin(self.surface.normals, self.surface.joint_index, self.surface.joint_weight, A)
         self.stage_seconds = {**self._tier.stage_seconds, "skin": perf_counter() - decoded}
         return Gaussians(means=means, scales=scales, colors=colors, normals=normals)
+
+    def _expressed(self, points: np.ndarray, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points (N, 3) with an expression, and the shift (J, 3) of the rest joints."""
+        count = 0 if self.expression is None else self.expression.count
+        if coefficients.ndim != 1 or len(coefficients) > count:
+            raise ValueError(f"expression has shape {coefficients.shape}, this avatar has {count} coefficients")
+        if not np.isfinite(coefficients).all():
+            raise UserError("the expression is NaN or infinite")
+        coefficients = np.pad(coefficients, (0, count - len(coefficients)))
+        return self.expression.points(points, coefficients), self.expression.joints @ coefficients
 
     def _decode(self, pose: np.ndarray):
         if self._tier.moves:
@@ -160,8 +185,15 @@ class Avatar:
         if not np.isfinite(trans).all():
             raise UserError("the translation is NaN or infinite")
 
-    def _read_body(self) -> tuple[tuple[str, ...], np.ndarray | None]:
-        """Joint names and the rest pose, None where it is zero."""
+    def _read_expression(self, stored: int, chosen: np.ndarray | None) -> Expression | None:
+        if EXPRESSION not in self.bundle.manifest.members:
+            return None
+        source = f"{self.bundle.path}: {EXPRESSION}"
+        whole = Expression.from_arrays(self.bundle.arrays(EXPRESSION), stored, self.surface.num_joints, source)
+        return whole.taken(chosen, stored)
+
+    def _read_body(self) -> tuple[tuple[str, ...], np.ndarray | None, Hands | None]:
+        """Joint names, the rest pose, None where it is zero, and hand data, None where there are none."""
         arrays = self.bundle.arrays("body.npz")
         names, rest = tuple(str(name) for name in arrays.get("joint_names", ())), arrays.get("rest_pose")
         if len(names) != self.surface.num_joints:
@@ -171,7 +203,18 @@ class Avatar:
             )
         if rest is not None and (rest.shape != (len(names), 3) or not np.isfinite(rest).all()):
             raise UserError(f"{self.bundle.path}: rest_pose in body.npz is not (J, 3) numbers; export the avatar again")
-        return names, rest
+        return names, rest, self._read_hands(arrays)
+
+    def _read_hands(self, arrays: dict[str, np.ndarray]) -> Hands | None:
+        if "hands_components" not in arrays:
+            return None
+        mean, components = np.asarray(arrays.get("hands_mean")), arrays["hands_components"]
+        if mean.shape != (2, 15, 3) or components.ndim != 3 or components.shape[::2] != (2, 45):
+            raise UserError(
+                f"{self.bundle.path}: body.npz: hands_mean and hands_components are not (2, 15, 3) and (2, K, 45) "
+                "numbers; export the avatar again"
+            )
+        return Hands(mean.astype(np.float64), components.astype(np.float64))
 
 
 def _taken(surface: Surface, chosen: np.ndarray) -> Surface:

@@ -26,6 +26,16 @@ class Hands:
     components: np.ndarray
     relative: bool = False
 
+    def pose(self, side: int, values: np.ndarray, *, pca: bool, relative: bool) -> np.ndarray:
+        """(..., 15, 3) axis-angle of the left (0) or right (1) hand. values: (..., K), as `motion.HandParameters` has
+        them, about the mean hand if `relative`. Raises ValueError for more coefficients than there are components."""
+        components = self.components[side]
+        if pca:
+            if values.shape[-1] > len(components):
+                raise ValueError(f"{len(components)} hand components, not {values.shape[-1]}")
+            values = values @ components[: values.shape[-1]]
+        return values.reshape(*values.shape[:-1], 15, 3) + (self.mean[side] if relative else 0)
+
 
 @dataclasses.dataclass(frozen=True)
 class BodyData:
@@ -127,13 +137,10 @@ class BodyData:
     def _hand(self, side: int, value: np.ndarray, pca: bool) -> np.ndarray:
         if self.hands is None:
             raise ValueError(f"body '{self.name}' has no hands")
-        if pca:
-            components = self.hands.components[side]
-            if value.shape[-1] > len(components):
-                raise ValueError(f"body '{self.name}' has {len(components)} hand components, not {value.shape[-1]}")
-            value = value @ components[: value.shape[-1]]
-        mean = self.hands.mean[side] if self.hands.relative else 0
-        return value.reshape(*value.shape[:-1], 15, 3) + mean
+        try:
+            return self.hands.pose(side, value, pca=pca, relative=self.hands.relative)
+        except ValueError as error:
+            raise ValueError(f"body '{self.name}' has {error}") from None
 
     def canonical_pose(self) -> np.ndarray:
         """(J, 3) the canonical pose: all zero but the hips, spread by 30 degrees about z (paper's supplement;

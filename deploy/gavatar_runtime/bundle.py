@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 
 from . import __version__
+from .body import Hands
 from .errors import UserError
 from .files import atomic
 from .surface import Surface
@@ -224,10 +225,16 @@ def pack_surfaces(gaussians: Surface, encoder_map: Surface | None = None) -> byt
 
 
 def pack_body(
-    joint_names, parents: np.ndarray, joints: np.ndarray, betas: np.ndarray | None = None, rest_pose=None
+    joint_names,
+    parents: np.ndarray,
+    joints: np.ndarray,
+    betas: np.ndarray | None = None,
+    rest_pose=None,
+    hands: Hands | None = None,
 ) -> bytes:
     """body.npz: joint_names (J,), parents (J,), joints (J, 3) rest joints of the trained shape, metres, betas (B,), and
-    rest_pose (J, 3), axis-angle of joints that no motion moves, unless it is zero."""
+    rest_pose (J, 3), axis-angle of joints that no motion moves, unless it is zero; hands_mean (2, 15, 3) and
+    hands_components (2, K, 45) where the body has any, for motions that give hands by coefficients."""
     arrays = {
         "joint_names": np.asarray(joint_names, np.str_),
         "parents": np.asarray(parents, np.int32),
@@ -236,6 +243,9 @@ def pack_body(
     }
     if rest_pose is not None and np.any(rest_pose):
         arrays["rest_pose"] = np.asarray(rest_pose, np.float64)
+    if hands is not None and hands.components.shape[1]:
+        arrays["hands_mean"] = np.asarray(hands.mean, np.float32)
+        arrays["hands_components"] = np.asarray(hands.components, np.float32)
     return pack_arrays(arrays)
 
 

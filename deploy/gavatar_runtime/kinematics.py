@@ -37,6 +37,17 @@ def skinning_transforms(T_world_joint: np.ndarray, joints: np.ndarray) -> np.nda
     return A
 
 
+def moved_rest(A: np.ndarray, joints: np.ndarray, parents: np.ndarray) -> np.ndarray:
+    """Rest-to-posed transforms (J, 4, 4) of the same rotations as in `A` for a skeleton whose rest joints (J, 3) lie
+    elsewhere."""
+    R, out, place = A[:, :3, :3], A.copy(), np.array(joints, np.float64)
+    for j, parent in enumerate(parents):
+        if parent >= 0:
+            place[j] = place[parent] + R[parent] @ (joints[j] - joints[parent])
+    out[:, :3, 3] = place - np.einsum("jab,jb->ja", R, joints)
+    return out
+
+
 def invert_rigid(T: np.ndarray) -> np.ndarray:
     """Inverse of rigid transforms (..., 4, 4), by transposition (never by a general solve)."""
     inverse = np.zeros_like(T)

@@ -7,7 +7,7 @@ import os
 import numpy as np
 
 from .files import atomic
-from .motion import Motion
+from .motion import HandParameters, Motion
 
 
 def write_motion(path: str | os.PathLike, motion: Motion) -> None:
@@ -21,4 +21,17 @@ def write_motion(path: str | os.PathLike, motion: Motion) -> None:
             mocap_framerate=np.float64(motion.fps),
             gender=np.array("neutral"),
             **({} if motion.leg_length is None else {"leg_length": np.float64(motion.leg_length)}),
+            **({} if motion.expression is None else {"expression": motion.expression.astype(np.float32)}),
+            **({} if motion.hands is None else _hand_fields(motion.hands)),
         )
+
+
+def _hand_fields(hands: HandParameters) -> dict[str, np.ndarray]:
+    """Hand parameters under the names that the smplx package gives them."""
+    left, right = np.moveaxis(hands.values.astype(np.float32), 1, 0)
+    return {
+        "left_hand_pose": left,
+        "right_hand_pose": right,
+        "use_pca": np.array(hands.pca),
+        "flat_hand_mean": np.array(not hands.relative),
+    }

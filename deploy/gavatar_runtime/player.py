@@ -100,7 +100,7 @@ def play(
     decoding, writing = threads if pipelined else (_Inline(), _Inline())
 
     def decode(frame: int):
-        gaussians = avatar.gaussians(motion.poses[frame], motion.trans[frame])
+        gaussians = avatar.gaussians(*motion.at(frame))
         stages = dict(avatar.stage_seconds)
         return as_trained(gaussians, cameras[frame], getattr(avatar, "pixel", None)), stages
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from .errors import UserError
 from .files import atomic
-from .kinematics import invert_rigid, joint_transforms, skin, skinning_transforms
+from .kinematics import invert_rigid, joint_transforms, moved_rest, skin, skinning_transforms
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,17 +60,22 @@ class Surface:
         """Index of the root joint."""
         return int(np.flatnonzero(self.parents < 0)[0])
 
-    def skin_transforms(self, poses: np.ndarray) -> np.ndarray:
+    def skin_transforms(self, poses: np.ndarray, shift: np.ndarray | None = None) -> np.ndarray:
         """(..., J, 4, 4) canonical-to-posed transforms of the joints, A_live A_canonical^-1, without translation.
 
-        poses: (..., J, 3) axis-angle relative to the parent, radians. The result has the dtype of `poses`; it is
-        computed in float64. Raises ValueError when the joints are not J.
+        poses: (..., J, 3) axis-angle relative to the parent, radians. shift: (J, 3) metres that the rest joints are
+        moved by (an expression moves those of the face), or None. The result has the dtype of `poses`; it is computed
+        in float64. Raises ValueError when the joints are not J.
         """
         poses = np.asarray(poses)
         _check_poses(poses, self.num_joints)
         dtype = poses.dtype if np.issubdtype(poses.dtype, np.floating) else np.dtype(np.float32)
-        T = joint_transforms(poses.astype(np.float64), self.joints, self.parents)
-        return (skinning_transforms(T, self.joints) @ invert_rigid(self.A_canonical)).astype(dtype)
+        joints, A_canonical = self.joints, self.A_canonical
+        if shift is not None:
+            joints = joints + shift
+            A_canonical = moved_rest(A_canonical, joints, self.parents)
+        T = joint_transforms(poses.astype(np.float64), joints, self.parents)
+        return (skinning_transforms(T, joints) @ invert_rigid(A_canonical)).astype(dtype)
 
     def posed(self, poses: np.ndarray) -> np.ndarray:
         """(N, 3) float32 points of the surface in one pose (J, 3), metres, without translation."""

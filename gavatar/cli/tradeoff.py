@@ -45,7 +45,6 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     a = parser().parse_args(argv)
-    import dataclasses
 
     import numpy as np
 
@@ -73,7 +72,7 @@ def main(argv: list[str] | None = None) -> int:
     motion = Avatar(bundle).fit(motion)[0]
     there_and_back = np.r_[: len(motion), len(motion) - 2 : 0 : -1] if len(motion) > 2 else np.arange(len(motion))
     index = np.resize(there_and_back, a.frames)
-    motion = dataclasses.replace(motion, poses=motion.poses[index], trans=motion.trans[index])
+    motion = motion.taken(index)
     choices = [Choice(tier.strip()) for tier in a.tiers.split(",")] if a.tiers else None
     perceptual, name = (None, None) if a.no_perceptual else perceptual_metric()
     rows = run_ladder(

@@ -287,7 +287,8 @@ class _Stage:
         all_rotations, all_trans = trainer.motion(trainer.frames)
         at = [trainer._frame_row[f] for f in frames]
         images, alphas = [], []
-        for row, gaussians in zip(rows, avatar.pose(attributes, all_rotations[at], all_trans[at]), strict=True):
+        posed = avatar.pose(attributes, all_rotations[at], all_trans[at], trainer.motion.expression(frames))
+        for row, gaussians in zip(rows, posed, strict=True):
             rendering = trainer.rasterize(gaussians, data.cameras[row], background.to(trainer.device))
             images.append(rendering.color.permute(2, 0, 1))
             alphas.append(rendering.alpha)

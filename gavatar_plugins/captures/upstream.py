@@ -5,15 +5,13 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-import numpy as np
-
 from gavatar.capture import Capture, View
 from gavatar.foreign import IMAGES, arrays, camera, check_motion, image_size, images_of
 from gavatar.placement import Placement, upright
 from gavatar.registry import CAPTURES
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import Faults, UserError
-from gavatar_runtime.motion import Motion
+from gavatar_runtime.motion import Motion, joined
 from gavatar_runtime.motions import read_motion
 
 
@@ -112,11 +110,7 @@ def _joined(parts: dict[str, _Part]):
         raise UserError(
             f"train and test have poses of {' and '.join(map(str, sorted(widths)))} joints: they must agree"
         )
-    motion = dataclasses.replace(
-        motions[0],
-        poses=np.concatenate([m.poses[:n] for m, n in zip(motions, counts, strict=True)]),
-        trans=np.concatenate([m.trans[:n] for m, n in zip(motions, counts, strict=True)]),
-    )
+    motion = joined([motion.taken(slice(count)) for motion, count in zip(motions, counts, strict=True)])
     splits, start = {}, 0
     for split, count in zip(parts, counts, strict=True):
         splits[split] = [View(split, f) for f in range(start, start + count)]

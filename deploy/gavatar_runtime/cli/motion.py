@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import UserError, exit_cleanly
 
 if TYPE_CHECKING:
-    from ..motion import Motion
+    from ..motion import HandParameters, Motion
 
 DESCRIPTION = "Describe a motion file or convert it to .npz with AMASS's fields, y-up, metres, SMPL joints."
 EPILOG = """examples
@@ -80,10 +81,18 @@ def describe(motion: Motion) -> dict[str, Any]:
         "joints_that_move": int(moving.sum()),
         "joints_at_rest": [n for j, n in enumerate(names) if not motion.poses[:, j].any()],
         "betas": 0 if motion.betas is None else len(motion.betas),
+        "expression": 0 if motion.expression is None else motion.expression.shape[1],
+        "hands": None if motion.hands is None else _hands(motion.hands),
         "walk_metres": round(float(steps.sum()), 3),
         "pelvis_height_metres": [round(float(v), 3) for v in (motion.trans[:, 1].min(), motion.trans[:, 1].max())],
         "upright": round(float(up.mean()), 3),
     }
+
+
+def _hands(hands: HandParameters) -> str:
+    kind = f"{hands.values.shape[2]} coefficients each" if hands.pca else "rotations"
+    about = "mean" if hands.relative else "flat"
+    return f"{kind} about the {about} hand, for bodies that have hand data"
 
 
 def _table(values: dict[str, Any]) -> str:
@@ -96,6 +105,8 @@ def _table(values: dict[str, Any]) -> str:
             f"  joints     {values['joints']}, {values['skeleton']}; {values['joints_that_move']} move",
             f"  at rest    {rest}",
             f"  shape      {values['betas']} betas" if values["betas"] else "  shape      not given",
+            *([f"  expression {values['expression']} coefficients"] if values["expression"] else []),
+            *([f"  hands      {values['hands']}"] if values["hands"] else []),
             f"  walk       {values['walk_metres']:g} m over the floor; root between {low:g} and {high:g} m high",
             f"  upright    {values['upright']:.2f} on average (1 stands, 0 lies, -1 is upside down)",
         ]
@@ -117,9 +128,12 @@ def _convert(arguments: argparse.Namespace, motion: Motion) -> int:
             raise UserError(f"--fps {arguments.fps:g}: give a positive number of frames per second")
         motion = motion.resampled(arguments.fps)
     if arguments.joints != "same":
-        motion, ignored = fit_motion(motion, NAMES[arguments.joints])
+        # what no skeleton tells stays as it is: a body will
+        kept = {"expression": motion.expression, "hands": motion.hands}
+        motion, ignored = fit_motion(dataclasses.replace(motion, expression=None, hands=None), NAMES[arguments.joints])
+        motion = dataclasses.replace(motion, **kept)
         if ignored:
-            print(f"note: {arguments.joints} has no {', '.join(ignored)}; their rotations are ignored")
+            print(f"note: {arguments.joints} has no {', '.join(ignored)}; the motion's are ignored")
     write_motion(out, motion)
     print(f"{out}: {len(motion)} frames at {motion.fps:g} a second, {motion.poses.shape[1]} joints, y-up, metres")
     return 0

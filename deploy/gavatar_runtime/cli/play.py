@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import re
 import sys
 from pathlib import Path
@@ -131,7 +130,7 @@ def main(argv: list[str] | None = None) -> int:
             f"note: rasterizer numpy, many times slower than native: {native_library.available()[1]}", file=sys.stderr
         )
     if ignored and not arguments.quiet:
-        print(f"note: the body has no {_listed(ignored)}; their rotations are ignored", file=sys.stderr)
+        print(f"note: the body has no {_listed(ignored)}; the motion's are ignored", file=sys.stderr)
 
     progress = _progress if sys.stderr.isatty() and not arguments.quiet else None
     timings = play(avatar, motion, cameras, rasterizer, writer, background=arguments.background, progress=progress)
@@ -191,7 +190,7 @@ def clip(motion: Motion, fps: float | None, seconds: float | None, frames: slice
             raise UserError(
                 f"--frames leaves no frame: motion '{motion.name}' has {count} at {fps:g} frames per second"
             )
-    return dataclasses.replace(motion, poses=motion.poses[index], trans=motion.trans[index])
+    return motion.taken(index)
 
 
 def choose_cameras(arguments: argparse.Namespace, avatar: Avatar, motion: Motion) -> list[Camera]:
@@ -258,7 +257,7 @@ def _default_output(avatar: str, motion: str) -> Path:
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    return ", ".join(names[:4]) + (f" and {len(names) - 4} more joints" if len(names) > 4 else "")
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
 def _timing_report(timings: Timings) -> dict[str, Any]:

@@ -19,10 +19,13 @@ from .source import MOTIONS
 class AmassOptions:
     """up: the file's vertical axis, `y`, `z`, `-y` or `auto`; AMASS's own files are z-up, gavatar's are y-up, and
     neither says so: `auto` takes the axis that the pelvis points along on average. fps: overrides the file's, 0 keeps
-    it; owed where a file states none."""
+    it; owed where a file states none. hands: `full` rotations or `pca` coefficients; hand_mean: about the `flat` or the
+    `mean` hand; `auto` as `SmplFields` tells them."""
 
     up: str = "auto"
     fps: float = 0.0
+    hands: str = "auto"
+    hand_mean: str = "auto"
 
 
 @MOTIONS.register("amass", config=AmassOptions, summary="AMASS and SMPL/SMPL-H/SMPL-X .npz, by their field names")
@@ -41,7 +44,9 @@ class AmassFile:
     def load(self) -> Motion:
         """The motion, y-up, float32. UserError naming the file and the key for anything missing, misshaped, not finite
         or not a plain array."""
-        return SmplFields(self.path, read_arrays(self.path)).motion(up=self.config.up, fps=self.config.fps)
+        config = self.config
+        fields = SmplFields(self.path, read_arrays(self.path), hands=config.hands, hand_mean=config.hand_mean)
+        return fields.motion(up=config.up, fps=config.fps)
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray | UserError]:

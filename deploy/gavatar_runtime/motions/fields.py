@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import Faults, UserError, frames_named
-from ..motion import Motion
+from ..motion import HandParameters, Motion
 from ..rotations import axis_angle_from_matrix, matrix_from_axis_angle
 
 FRAME_RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "fps", "frame_rate")
@@ -23,6 +22,12 @@ EYE_KEYS = ("pose_eye", ("leye_pose", "reye_pose"))
 HAND_KEYS = ("pose_hand", ("left_hand_pose", "right_hand_pose"))
 TRANS_KEYS = ("trans", "transl", "smpl_trans")
 BETAS_KEYS = ("betas", "beta", "shapes")
+EXPRESSION_KEYS = ("expression", "expressions", "expr")
+PCA_KEY, FLAT_KEY = "use_pca", "flat_hand_mean"  # smplx's words for how hand poses are to be read
+HANDS = ("auto", "full", "pca")
+HAND_MEANS = ("auto", "flat", "mean")
+# Numbers a frame of SMPL-H poses with 6 or 12 coefficients a hand, as MANO's own loader has them (66 + 2 K)
+COMPACT = {78: 6, 90: 12}
 
 
 def _flat(keys: tuple) -> tuple[str, ...]:
@@ -31,7 +36,7 @@ def _flat(keys: tuple) -> tuple[str, ...]:
 
 KEYS = (
     *WHOLE_KEYS, *ROOT_KEYS, *BODY_KEYS, *JAW_KEYS, *_flat(EYE_KEYS), *_flat(HAND_KEYS), *TRANS_KEYS, *BETAS_KEYS,
-    *FRAME_RATE_KEYS, "leg_length",
+    *FRAME_RATE_KEYS, *EXPRESSION_KEYS, PCA_KEY, FLAT_KEY, "leg_length",
 )  # fmt: skip
 
 # rows: the axes of a y-up world in the file's world
@@ -49,12 +54,20 @@ class SmplFields:
     poses (or fullpose, thetas, smpl_poses, pose) (T, 3J) or (T, J, 3) axis-angle; or root_orient and pose_body with
     pose_hand, pose_jaw, pose_eye (AMASS), or global_orient and body_pose with jaw_pose, leye_pose, ..., (smplx; a
     body_pose of 72 or 165 numbers without global_orient is a whole pose, as in upstream's files); trans (or transl),
-    zero if absent; betas (or beta); mocap_framerate (or mocap_frame_rate, fps); leg_length,
-    optional, as `Motion` has it.
+    zero if absent; betas (or beta); mocap_framerate (or mocap_frame_rate, fps); expression, (T, E), one row for all
+    frames or none; leg_length, optional, as `Motion` has it.
+
+    Hands of 45 numbers are rotations, about the flat hand (AMASS); of fewer, coefficients of a model's principal
+    components about its mean hand (smplx). use_pca and flat_hand_mean in the file say otherwise, and so do hands:
+    `full`, `pca` or `auto`, and hand_mean: `flat`, `mean` or `auto`.
+    Raises UserError for another word.
     """
 
-    def __init__(self, path: Path, arrays: Mapping[str, Any]):
-        self.path, self.arrays = path, arrays
+    def __init__(self, path: Path, arrays: Mapping[str, Any], *, hands: str = "auto", hand_mean: str = "auto"):
+        for name, value, known in (("hands", hands, HANDS), ("hand_mean", hand_mean, HAND_MEANS)):
+            if value not in known:
+                raise UserError(f"motion option {name}={value}: choose from {', '.join(known)}")
+        self.path, self.arrays, self.hands, self.hand_mean = path, arrays, hands, hand_mean
 
     def motion(self, *, up: str, fps: float, default_fps: float = 0.0, trans_scale: float = 1.0) -> Motion:
         """The motion, y-up, float32.
@@ -64,12 +77,15 @@ class SmplFields:
         are one for every field at fault.
         """
         faults = Faults(collect=True)
-        poses = faults.of(self._poses)
-        trans = faults.of(self._trans, self._rows() if poses is None else len(poses))
+        poses, hands = faults.of(self._posed) or (None, None)
+        frames = self._rows() if poses is None else len(poses)
+        trans = faults.of(self._trans, frames)
         rate = faults.of(self._fps, fps, default_fps)
         betas, leg_length = faults.of(self._betas), faults.of(self._leg_length)
+        expression = faults.of(self._expression, frames)
         faults.stop()
-        motion = Motion(poses, trans * np.float32(trans_scale), rate, betas, self.path.stem, leg_length)
+        trans = trans * np.float32(trans_scale)
+        motion = Motion(poses, trans, rate, betas, self.path.stem, leg_length, expression, hands)
         return y_up(motion, up)
 
     def _rows(self) -> int | None:
@@ -78,19 +94,24 @@ class SmplFields:
         shape = () if key is None else np.shape(self.arrays[key])
         return shape[0] if len(shape) > 1 else None
 
-    def _poses(self) -> np.ndarray:
+    def _posed(self) -> tuple[np.ndarray, HandParameters | None]:
+        """(T, J, 3) axis-angle of the joints, and the hands that need a model to become such."""
         key = self._key(WHOLE_KEYS)
         if key is None and self._key(ROOT_KEYS) is None:
             body = self._key(BODY_KEYS)
             key = body if body is not None and np.shape(self.arrays[body])[-1:] in ((72,), (156,), (165,)) else None
-        if key is None:
-            if self._key(BODY_KEYS) is None or self._key(ROOT_KEYS) is None:
-                raise UserError(
-                    f"{self.path}: key 'poses' is missing; a motion holds poses (T, 3J), trans (T, 3) and "
-                    f"mocap_framerate, or root_orient and pose_body; this file holds "
-                    f"{', '.join(sorted(self.arrays)) or 'nothing'}"
-                )
-            return self._assembled()
+        if key is not None:
+            return self._whole(key)
+        if self._key(BODY_KEYS) is None or self._key(ROOT_KEYS) is None:
+            raise UserError(
+                f"{self.path}: key 'poses' is missing; a motion holds poses (T, 3J), trans (T, 3) and "
+                f"mocap_framerate, or root_orient and pose_body; this file holds "
+                f"{', '.join(sorted(self.arrays)) or 'nothing'}"
+            )
+        return self._assembled()
+
+    def _whole(self, key: str) -> tuple[np.ndarray, HandParameters | None]:
+        """Of one array of all joints; hands from fields of their own take the place of fingers that never move."""
         poses = self._numbers(key)
         if poses.ndim == 3 and poses.shape[2] == 3:
             poses = poses.reshape(len(poses), -1)
@@ -100,26 +121,38 @@ class SmplFields:
             )
         if len(poses) == 0:
             raise UserError(f"{self.path}: {key} holds no frame")
-        return self._finite(key, poses).reshape(len(poses), -1, 3)
+        poses = self._finite(key, poses)
+        width = poses.shape[1]
+        if width in COMPACT or (width in (156, 165) and (self.hands == "pca" or self.hand_mean == "mean")):
+            hands = self._understood(key, np.stack(np.split(poses[:, 66 if width in COMPACT else -90 :], 2, 1), 1))
+            poses = poses[:, :66] if width in COMPACT else np.concatenate([poses[:, :-90], 0 * poses[:, -90:]], 1)
+        elif width in (156, 165) and poses[:, -90:].any():
+            hands = None
+        else:
+            hands = self._hands()
+        poses = poses.reshape(len(poses), -1, 3)
+        if hands is not None and len(hands.values) not in (1, len(poses)):
+            raise UserError(
+                f"{self.path}: its hand poses have {len(hands.values)} frames and {key} {len(poses)}: they must agree"
+            )
+        return _with_hands(poses, hands)
 
-    def _assembled(self) -> np.ndarray:
-        """(T, J, 3) from fields of body parts: 24 joints (a body_pose of 23), 22, 52 with hands, 55 with a face."""
+    def _assembled(self) -> tuple[np.ndarray, HandParameters | None]:
+        """Of fields of body parts: 24 joints (a body_pose of 23), 22, 52 with hands, 55 with a face."""
         faults, root, body = Faults(collect=True), self._key(ROOT_KEYS), self._key(BODY_KEYS)
         parts = {root: faults.of(self._part, root, 3), body: faults.of(self._part, body, None)}
         width = 0 if parts[body] is None else parts[body].shape[1]
         if parts[body] is not None and width not in (63, 69):
             faults.add(f"{self.path}: {body} holds {width} numbers a frame, expected 63 (21 joints) or 69 (23)")
-        others = {
-            keys: faults.of(self._optional, keys, w) for keys, w in ((JAW_KEYS, 3), (EYE_KEYS, 6), (HAND_KEYS, 90))
-        }
-        if width == 63 and (others[JAW_KEYS] is not None or others[EYE_KEYS] is not None):
-            others = {
-                keys: np.zeros((1, w), np.float32) if others[keys] is None else others[keys]
-                for keys, w in ((JAW_KEYS, 3), (EYE_KEYS, 6), (HAND_KEYS, 90))
-            }
-        if width == 63:
-            parts |= {" and ".join(_flat(keys[:1])): part for keys, part in others.items() if part is not None}
+        jaw, eyes = faults.of(self._face, JAW_KEYS, 3), faults.of(self._face, EYE_KEYS, 6)
+        hands = faults.of(self._hands)
+        if width == 63 and (jaw or eyes):
+            parts |= jaw or {"jaw": np.zeros((1, 3), np.float32)}
+            parts |= eyes or {"eyes": np.zeros((1, 6), np.float32)}
+            parts["fingers"] = np.zeros((1, 90), np.float32)
         lengths = {name: len(part) for name, part in parts.items() if part is not None}
+        if hands is not None:
+            lengths["its hand poses"] = len(hands.values)
         frames = max(lengths.values(), default=0)
         for name, length in lengths.items():
             if length == 0:
@@ -129,24 +162,74 @@ class SmplFields:
                 faults.add(f"{self.path}: {name} has {length} frames and {longest} {frames}: they must agree")
         faults.stop()
         poses = np.concatenate([np.broadcast_to(part, (frames, part.shape[1])) for part in parts.values()], 1)
-        return poses.reshape(frames, -1, 3)
+        return _with_hands(poses.reshape(frames, -1, 3), hands)
 
-    def _optional(self, keys: tuple, width: int) -> np.ndarray | None:
-        """A part of exactly `width` numbers a frame, or None; a pair of keys stands for its two halves."""
+    def _face(self, keys: tuple, width: int) -> dict[str, np.ndarray]:
+        """A part of the face by its field's name, (T, width), or nothing; a pair of keys stands for its two halves."""
         for key in keys:
-            names = key if isinstance(key, tuple) else (key,)
+            names = _flat((key,))
             if all(name in self.arrays for name in names):
                 faults = Faults(collect=True)
-                halves = [faults.of(self._part, name, None) for name in names]
+                halves = [faults.of(self._part, name, width // len(names)) for name in names]
                 faults.stop()
-                if sum(half.shape[1] for half in halves) == width and len({len(h) for h in halves}) == 1:
-                    return np.concatenate(halves, 1)
-                warnings.warn(
-                    f"{self.path}: {' and '.join(names)} hold {halves[0].shape[1]} numbers a frame, not "
-                    f"{width // len(names)} (coefficients of a hand model?): these joints keep their rest pose",
-                    stacklevel=2,
+                frames = max(map(len, halves))
+                if any(len(half) not in (1, frames) for half in halves):
+                    raise UserError(f"{self.path}: {' and '.join(names)} have different numbers of frames")
+                whole = [np.broadcast_to(half, (frames, half.shape[1])) for half in halves]
+                return {" and ".join(names): np.concatenate(whole, 1)}
+        return {}
+
+    def _hands(self) -> HandParameters | None:
+        """Both hands from fields of their own, or None where there are none."""
+        key = next((k for k in HAND_KEYS if all(name in self.arrays for name in _flat((k,)))), None)
+        if key is None:
+            return None
+        names, faults = _flat((key,)), Faults(collect=True)
+        parts = [faults.of(self._part, name, None) for name in names]
+        faults.stop()
+        if len(parts) == 1:
+            if parts[0].shape[1] % 2:
+                raise UserError(
+                    f"{self.path}: {names[0]} holds {parts[0].shape[1]} numbers a frame, which are no two hands"
                 )
-        return None
+            parts = np.split(parts[0], 2, 1)
+        frames = max(map(len, parts))
+        if parts[0].shape[1] != parts[1].shape[1] or any(len(part) not in (1, frames) for part in parts):
+            shapes = " and ".join(str(part.shape) for part in parts)
+            raise UserError(f"{self.path}: {' and '.join(names)} have shapes {shapes}: both hands must be alike")
+        both = np.stack([np.broadcast_to(part, (frames, part.shape[1])) for part in parts], 1)
+        return self._understood(" and ".join(names), both)
+
+    def _understood(self, name: str, values: np.ndarray) -> HandParameters:
+        """Values (T, 2, K) with what they mean, from their number, the file's own words and the options."""
+        width = values.shape[2]
+        pca = {"full": False, "pca": True, "auto": self._flag(PCA_KEY, width != 45)}[self.hands]
+        relative = {"flat": False, "mean": True, "auto": not self._flag(FLAT_KEY, not pca)}[self.hand_mean]
+        if not 1 <= width <= 45 or (not pca and width != 45):
+            raise UserError(
+                f"{self.path}: {name}: {width} numbers a hand; expected 45, or up to 45 coefficients (hands=pca)"
+            )
+        return HandParameters(values, pca, relative)
+
+    def _flag(self, key: str, default: bool) -> bool:
+        if key not in self.arrays:
+            return default
+        value = np.asarray(self.arrays[key])
+        if value.size != 1 or value.dtype.kind not in "biu":
+            raise UserError(f"{self.path}: {key} must be true or false")
+        return bool(value.reshape(-1)[0])
+
+    def _expression(self, frames: int | None) -> np.ndarray | None:
+        """(T, E), one row repeated."""
+        key = self._key(EXPRESSION_KEYS)
+        if key is None or np.size(self.arrays[key]) == 0:
+            return None
+        expression = self._numbers(key)
+        expression = expression.reshape(1, -1) if expression.ndim == 1 else expression
+        if expression.ndim != 2 or (frames is not None and len(expression) not in (1, frames)):
+            raise UserError(f"{self.path}: {key} has shape {expression.shape}, expected ({frames or 'T'}, E)")
+        expression = self._finite(key, expression)
+        return np.repeat(expression, frames, 0) if frames and len(expression) == 1 else expression
 
     def _part(self, key: str, width: int | None) -> np.ndarray:
         array = self._numbers(key)
@@ -220,6 +303,18 @@ class SmplFields:
             where = "" if key == "betas" else f" at {frames_named(np.flatnonzero(bad))}"
             raise UserError(f"{self.path}: {key} holds NaN or infinite values{where}")
         return array
+
+
+def _with_hands(poses: np.ndarray, hands: HandParameters | None) -> tuple[np.ndarray, HandParameters | None]:
+    """Poses (T, J, 3) with the hands that are rotations already, on 52 or 55 joints; those that are not, a row a frame,
+    beside them."""
+    if hands is None:
+        return poses, None
+    values = np.broadcast_to(hands.values, (len(poses), *hands.values.shape[1:]))
+    if hands.pca or hands.relative:
+        return poses, dataclasses.replace(hands, values=values.copy())
+    body = poses[:, : 25 if poses.shape[1] == 55 else 22]
+    return np.concatenate([body, values.reshape(len(poses), 30, 3)], 1), None
 
 
 def check_up(up: str) -> None:

@@ -22,10 +22,13 @@ UPSTREAM_FPS = 30.0  # of phone video; upstream's files do not say either
 @dataclasses.dataclass
 class PickleOptions:
     """up: the file's vertical axis, `y`, `z`, `-y` or `auto`: the one that the pelvis points along on average. fps: 0
-    is the file's own or, where it states none, the format's: 60 for AIST++, 30 for .pth."""
+    is the file's own or, where it states none, the format's: 60 for AIST++, 30 for .pth. hands, hand_mean: as of
+    .npz."""
 
     up: str = "auto"
     fps: float = 0.0
+    hands: str = "auto"
+    hand_mean: str = "auto"
 
 
 class _Pickled:
@@ -46,8 +49,9 @@ class _Pickled:
         arrays = self.arrays()
         if not isinstance(arrays, dict):
             raise UserError(f"{self.path} holds a {type(arrays).__name__}, expected a dictionary of arrays")
-        fields = SmplFields(self.path, {str(key): value for key, value in arrays.items()})
         config = self.config
+        arrays = {str(key): value for key, value in arrays.items()}
+        fields = SmplFields(self.path, arrays, hands=config.hands, hand_mean=config.hand_mean)
         return fields.motion(
             up=config.up, fps=config.fps, default_fps=self.default_fps, trans_scale=self._trans_scale(arrays)
         )

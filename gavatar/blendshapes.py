@@ -1,0 +1,42 @@
+"""What a body's linear blendshapes do at the points of its sampled surface, in the canonical pose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gavatar_runtime.body import BodyData
+from gavatar_runtime.expression import Expression
+from gavatar_runtime.kinematics import moved_rest
+from gavatar_runtime.surface import Surface
+
+
+def at_points(body: BodyData, surface: Surface, directions: np.ndarray) -> np.ndarray:
+    """(N, 3, C) directions at the surface's points, in the rest pose, from those of the vertices (V, 3, C)."""
+    weights = surface.barycentric.astype(directions.dtype)
+    corners = body.faces[surface.face]
+    return sum(weights[:, i, None, None] * directions[corners[:, i]] for i in range(3))
+
+
+def canonical_rotations(surface: Surface) -> np.ndarray:
+    """(N, 3, 3) the linear part of what takes each point from the rest pose to the canonical one."""
+    R = surface.A_canonical[:, :3, :3]
+    return np.einsum("nk,nkab->nab", surface.joint_weight, R[surface.joint_index], optimize=True)
+
+
+def expression_of(body: BodyData, surface: Surface) -> Expression | None:
+    """The body's expressions at the points of its surface, None of a body without any.
+
+    Exact to the first order and, since the canonical transforms of joints that move are linear in where they rest,
+    beyond it: skinning the moved points by `Surface.skin_transforms(pose, shift)` is what the body does with its
+    vertices wherever canonical skinning is rigid.
+    """
+    if body.exprdirs is None or body.num_expression == 0:
+        return None
+    joints = np.einsum("jv,vce->jce", body.J_regressor, body.exprdirs, optimize=True)
+    canonical = canonical_rotations(surface) @ at_points(body, surface, body.exprdirs)
+    offset = surface.A_canonical[:, :3, 3]
+    for e in range(body.num_expression):
+        moved = moved_rest(surface.A_canonical, surface.joints + joints[:, :, e], surface.parents)[:, :3, 3] - offset
+        if np.any(moved):
+            canonical[:, :, e] += np.einsum("nk,nkc->nc", surface.joint_weight, moved[surface.joint_index])
+    return Expression.of(canonical, joints)
