@@ -13,6 +13,7 @@ from tqdm import tqdm
 from gavatar_runtime.body import check_motion_fits
 from gavatar_runtime.detail import as_trained
 from gavatar_runtime.motion import Motion
+from gavatar_runtime.skeletons import FINGERS
 from gavatar_runtime.surface import positional_map
 
 from .avatar import Avatar
@@ -21,7 +22,7 @@ from .capture import Capture, View
 from .files import write_json
 from .image_quality import mean_psnr, psnr, ssim
 from .losses import LossComposer, LossInputs, MotionState
-from .metrics import joint_errors, perceptual_metric
+from .metrics import joint_errors, mpjpe_hands, perceptual_metric, rotation_errors
 from .motion import MotionTable, RowAdam
 from .training.data import footage, load_full
 from .training.run import Run
@@ -46,6 +47,20 @@ class ViewScore:
 
 
 @dataclasses.dataclass
+class PartErrors:
+    """Errors of what the 22 body joints leave out, each None where the truth holds it still. mpjpe_hands_mm: of finger
+    joints, from their wrist. jaw_deg: of the jaw's rotation, whose joint itself hardly moves."""
+
+    mpjpe_hands_mm: float | None = None
+    jaw_deg: float | None = None
+
+    def as_json(self, prefix: str = "", when: str = "") -> dict:
+        """The two numbers under `{prefix}mpjpe_hands{when}_mm` and `{prefix}jaw{when}_deg`."""
+        values = {f"{prefix}mpjpe_hands{when}_mm": self.mpjpe_hands_mm, f"{prefix}jaw{when}_deg": self.jaw_deg}
+        return {key: None if value is None else round(value, 2) for key, value in values.items()}
+
+
+@dataclasses.dataclass
 class SplitScore:
     """One row of the table: a split rendered with one source of poses."""
 
@@ -54,6 +69,7 @@ class SplitScore:
     scores: list[ViewScore]
     mpjpe_mm: float | None = None
     pa_mpjpe_mm: float | None = None
+    parts: PartErrors = dataclasses.field(default_factory=PartErrors)
 
     @property
     def psnr(self) -> float:
@@ -85,6 +101,7 @@ class SplitScore:
             "worst_psnr": round(worst.psnr, 3),
             "mpjpe_mm": None if self.mpjpe_mm is None else round(self.mpjpe_mm, 2),
             "pa_mpjpe_mm": None if self.pa_mpjpe_mm is None else round(self.pa_mpjpe_mm, 2),
+            **self.parts.as_json(),
         }
 
 
@@ -149,6 +166,7 @@ class Evaluator:
         if self.run.capture.truth is not None:
             frames = sorted({view.frame for view in views})
             result.mpjpe_mm, result.pa_mpjpe_mm = motion_errors(self.run.built, motion, self.run.capture.truth, frames)
+            result.parts = part_errors(self.run.built, motion, self.run.capture.truth, frames)
         return result
 
     def fit(self, views: Sequence[View], steps: int = 60, image_scale: float = 1.0) -> Motion:
@@ -221,16 +239,31 @@ def fit_motion(
 
 def motion_errors(built: AvatarBuild, motion: Motion, truth: Motion, frames: Sequence[int]) -> tuple[float, float]:
     """MPJPE (root-aligned) and PA-MPJPE in millimetres over the 22 body joints of the given frames."""
-    frames = list(frames)
+    return joint_errors(*(_joints(built, m, frames) for m in (motion, truth)))
+
+
+def part_errors(built: AvatarBuild, motion: Motion, truth: Motion, frames: Sequence[int]) -> PartErrors:
+    """Errors of hands and jaw over the given frames, where the truth moves them out of their rest pose."""
+    data, frames = built.body.data, list(frames)
+    names, true_poses = list(data.joint_names), check_motion_fits(truth.poses[frames], data.num_joints)
+    moved = np.abs(true_poses - data.rest_pose).max((0, 2)) > 1e-4
+    out = PartErrors()
+    if any(moved[names.index(name)] for name in FINGERS if name in names):
+        out.mpjpe_hands_mm = float(mpjpe_hands(*(_joints(built, m, frames) for m in (motion, truth)), names).mean())
+    if "jaw" in names and moved[names.index("jaw")]:
+        jaw = names.index("jaw")
+        poses = check_motion_fits(motion.poses[frames], data.num_joints)
+        out.jaw_deg = float(rotation_errors(poses[:, jaw], true_poses[:, jaw]).mean())
+    return out
+
+
+@torch.no_grad()
+def _joints(built: AvatarBuild, motion: Motion, frames: Sequence[int]) -> np.ndarray:
+    """(F, J, 3) metres, world."""
     skeleton = built.avatar.skeleton
-
-    def joints(m: Motion) -> np.ndarray:
-        table = MotionTable(Motion(m.poses[frames], m.trans[frames], m.fps), len(skeleton.parents))
-        with torch.no_grad():
-            rotations, trans = table.to(skeleton.joints.device)()
-            return (skeleton.posed_joints(rotations) + trans[:, None]).cpu().numpy()
-
-    return joint_errors(joints(motion), joints(truth))
+    table = MotionTable(motion.taken(list(frames)), len(skeleton.parents))
+    rotations, trans = table.to(skeleton.joints.device)()
+    return (skeleton.posed_joints(rotations) + trans[:, None]).cpu().numpy()
 
 
 def evaluation_plan(capture: Capture, splits: Sequence[str] | None, fit: bool) -> list[tuple[str, str, list[View]]]:
@@ -256,13 +289,15 @@ def evaluation_plan(capture: Capture, splits: Sequence[str] | None, fit: bool) -
 @dataclasses.dataclass
 class Evaluation:
     """Everything `gavatar-eval` measured. pictures: (target, render) of each row's worst view, in row order.
-    estimated_mpjpe_mm: error of the training frames' poses before training, and its PA form."""
+    estimated_mpjpe_mm: error of the training frames' poses before training, and its PA form; estimated_parts: of hands
+    and jaw."""
 
     run: Run
     rows: list[SplitScore]
     pictures: list[tuple[np.ndarray, np.ndarray]]
     perceptual_name: str | None
     estimated_mpjpe_mm: tuple[float, float] | None = None
+    estimated_parts: PartErrors = dataclasses.field(default_factory=PartErrors)
 
     def row(self, split: str, poses: str) -> SplitScore:
         """The row of a split and a source of poses; KeyError if it was not measured."""
@@ -282,6 +317,7 @@ class Evaluation:
             "perceptual_network": self.perceptual_name,
             "train_mpjpe_before_mm": None if before is None else round(before[0], 2),
             "train_pa_mpjpe_before_mm": None if before is None else round(before[1], 2),
+            **self.estimated_parts.as_json("train_", "_before"),
             "rows": [row.as_json() for row in self.rows],
         }
 
@@ -314,4 +350,5 @@ def evaluate(
     if capture.truth is not None:
         frames = sorted({view.frame for view in capture.views("train")})
         result.estimated_mpjpe_mm = motion_errors(run.built, capture.motion, capture.truth, frames)
+        result.estimated_parts = part_errors(run.built, capture.motion, capture.truth, frames)
     return result

@@ -6,7 +6,7 @@ that what is reported is what was trained. `masked` restricts any of them to whe
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -14,6 +14,8 @@ from torch import Tensor
 
 from gavatar_runtime.body import SMPL_BODY_JOINTS
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from gavatar_runtime.skeletons import FINGERS
 
 from .image_quality import mean_psnr, psnr, ssim
 from .lpips import Lpips
@@ -22,8 +24,8 @@ from .perceptual import MAX_DEPTH, NETWORK_NAME, load_weights, perceptual_distan
 ImageMetric = Callable[[Tensor, Tensor], Tensor]
 
 __all__ = [
-    "ImageMetric", "joint_errors", "lpips_metric", "masked", "mean_psnr", "mpjpe", "pa_mpjpe", "perceptual_metric",
-    "psnr", "ssim",
+    "ImageMetric", "joint_errors", "lpips_metric", "masked", "mean_psnr", "mpjpe", "mpjpe_hands", "pa_mpjpe",
+    "perceptual_metric", "psnr", "rotation_errors", "ssim",
 ]  # fmt: skip
 
 
@@ -96,6 +98,25 @@ def pa_mpjpe(joints: np.ndarray, truth: np.ndarray) -> np.ndarray:
 def joint_errors(joints: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
     """(MPJPE with the pelvis as root, PA-MPJPE) in mm, means over the frames of joints (T, J, 3), metres."""
     return float(mpjpe(joints, truth).mean()), float(pa_mpjpe(joints, truth).mean())
+
+
+def mpjpe_hands(joints: np.ndarray, truth: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """(T,) mean position error in mm of the finger joints of joints (T, J, 3), metres, named `names`, each hand moved
+    so that its wrist is the origin: what fingers err beyond what carries them. NaN for a body without fingers."""
+    errors = []
+    for side in ("left", "right"):
+        wrist = [names.index(f"{side}_wrist")] if f"{side}_wrist" in names else []
+        fingers = [names.index(name) for name in FINGERS if name.startswith(side) and name in names]
+        if wrist and fingers:
+            mine, theirs = (np.asarray(j, np.float64)[:, fingers] - j[:, wrist] for j in (joints, truth))
+            errors.append(1000 * np.linalg.norm(mine - theirs, axis=-1))
+    return np.concatenate(errors, 1).mean(1) if errors else np.full(len(joints), np.nan)
+
+
+def rotation_errors(poses: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """(...,) degrees, 0 to 180, between rotations given as axis-angle (..., 3)."""
+    mine, theirs = (matrix_from_axis_angle(np.asarray(p, np.float64)) for p in (poses, truth))
+    return np.degrees(np.linalg.norm(axis_angle_from_matrix(np.swapaxes(mine, -1, -2) @ theirs), axis=-1))
 
 
 def _body_joints(joints: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -44,6 +44,11 @@ def table(result: Evaluation) -> str:
         ]
         for row in result.rows
     ]
+    for name, title in (("mpjpe_hands_mm", "hands"), ("jaw_deg", "jaw")):
+        values = [getattr(row.parts, name) for row in result.rows]
+        if any(value is not None for value in values):
+            header.append(title)
+            rows = [[*row, _number(value, 1)] for row, value in zip(rows, values, strict=True)]
     notes = [
         f"stage {result.run.stage} avatar, {len(result.run.avatar.surface)} Gaussians; whole frames on white; PSNR in "
         "dB, joints in mm (22 body joints, root-aligned)",
@@ -53,6 +58,12 @@ def table(result: Evaluation) -> str:
     if result.estimated_mpjpe_mm is not None:
         before = result.estimated_mpjpe_mm
         notes.append(f"training frames before training: MPJPE {before[0]:.1f} mm, PA-MPJPE {before[1]:.1f} mm")
+    if len(header) > 10:
+        hands, jaw = result.estimated_parts.mpjpe_hands_mm, result.estimated_parts.jaw_deg
+        notes.append(
+            "hands: finger joints from their wrist, mm; jaw: degrees; training frames before training: "
+            f"{_number(hands, 1)} mm, {_number(jaw, 1)} degrees"
+        )
     if any(row.poses == "fitted" for row in result.rows):
         notes.append("fitted: poses were fitted to the very images that are scored; not comparable with other rows")
     return format_table(header, rows) + "\n\n" + "\n".join(notes)

@@ -14,13 +14,16 @@ from gavatar.metrics import (
     masked,
     mean_psnr,
     mpjpe,
+    mpjpe_hands,
     pa_mpjpe,
     perceptual_metric,
     psnr,
+    rotation_errors,
     ssim,
 )
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.rotations import matrix_from_axis_angle
+from gavatar_runtime.skeletons import FINGERS, SMPLH
 
 
 @pytest.fixture
@@ -172,3 +175,25 @@ def test_one_frame_and_float32_do(joints):
 def test_joints_of_other_shapes_are_refused(joints):
     with pytest.raises(ValueError, match="must both be"):
         mpjpe(joints, joints[:, :20])
+
+
+def test_rotation_errors_are_angles_whatever_the_axis_angle_says():
+    poses = np.array([[0, 0, 0.0], [np.pi, 0, 0], [0, 3 * np.pi / 2, 0], [0, 0, 2 * np.pi], [0.3, 0, 0]])
+    truth = np.array([[0, 0, 0.0], [-np.pi, 0, 0], [0, -np.pi / 2, 0], [0, 0, 0], [0.3, 0, 0.0]])
+    np.testing.assert_allclose(rotation_errors(poses, truth), 0, atol=1e-6)
+    assert rotation_errors(np.zeros(3), np.array([0, np.pi, 0])) == pytest.approx(180)
+    assert rotation_errors(np.array([0.1, 0, 0]), np.zeros(3)) == pytest.approx(np.degrees(0.1))
+
+
+def test_hands_are_compared_from_their_wrists():
+    names = SMPLH
+    truth = np.random.default_rng(0).normal(size=(3, 52, 3))
+    carried = truth.copy()
+    for side in ("left", "right"):
+        rows = [names.index(n) for n in names if n.startswith(side) and (n in FINGERS or n.endswith("wrist"))]
+        carried[:, rows] += np.random.default_rng(1).normal(size=(3, 1, 3))
+    np.testing.assert_allclose(mpjpe_hands(carried, truth, names), 0, atol=1e-9)
+    moved = truth.copy()
+    moved[:, names.index("right_thumb3")] += (0, 0.03, 0)
+    np.testing.assert_allclose(mpjpe_hands(moved, truth, names), 1.0)  # 30 mm over 30 joints
+    assert np.isnan(mpjpe_hands(truth[:, :22], truth[:, :22], SMPLH[:22])).all()

@@ -15,11 +15,12 @@ from tiny_capture import SMALL, write_tiny_capture
 from gavatar.blendshapes import expression_of
 from gavatar.build import build_body, capture_on_body, open_capture
 from gavatar.config import compose_config
-from gavatar.evaluation import motion_errors
+from gavatar.evaluation import evaluate, motion_errors, part_errors
 from gavatar.export import export, torch_gaussians
 from gavatar.files import load_tensors
 from gavatar.placement import Placement
 from gavatar.registry import BODIES
+from gavatar.reporting import table
 from gavatar.surface import sample_surface
 from gavatar.training.run import open_run, train
 from gavatar_runtime.avatar import Avatar
@@ -227,6 +228,42 @@ def test_poses_in_smplh_order_train_the_same_hands(models, tmp_path):
     shutil.copy(capture / "body.npz", capture / "body_truth.npz")
     run = trained(capture, folder, tmp_path / "r", "stage1.steps=1", "stage2.steps=0", "encoder=none")
     assert motion_errors(run.built, run.capture.motion, run.capture.truth, [0, 5])[0] == 0
+    exact = part_errors(run.built, run.capture.motion, run.capture.truth, [0, 5])
+    assert (exact.mpjpe_hands_mm, exact.jaw_deg) == (0, None)  # 52 joints say nothing of a jaw
+
+
+def test_errors_of_hands_and_jaw_are_apart_and_count_only_where_the_truth_moves_them(run, capture, tmp_path):
+    truth = run.capture.motion
+    names, frames = run.built.body.data.joint_names, [1, 5]
+    off = dataclasses.replace(truth, poses=truth.poses.copy())
+    off.poses[:, names.index("jaw"), 0] += np.radians(12)
+    off.poses[:, names.index("left_shoulder"), 1] += 0.5  # counts with the body
+    assert part_errors(run.built, off, truth, frames).jaw_deg == pytest.approx(12, abs=1e-3)
+    off.poses = truth.poses.copy()
+    off.poses[:, names.index("left_index2"), 2] += np.pi / 2
+    errors = part_errors(run.built, off, truth, frames)
+    joints = run.built.body.data.shaped(run.built.betas)[1]
+    bone = np.linalg.norm((joints[names.index("left_index3")] - joints[names.index("left_index2")])[:2])
+    # one of thirty joints travels by the chord of a quarter circle about z
+    assert errors.mpjpe_hands_mm == pytest.approx(1000 * bone * np.sqrt(2) / 30, rel=1e-4)
+    assert errors.jaw_deg < 1e-3
+    assert motion_errors(run.built, off, truth, frames)[0] < 1e-4
+    still = dataclasses.replace(truth, poses=truth.poses * (np.arange(55) < 22)[:, None])
+    assert part_errors(run.built, off, still, frames).jaw_deg is None
+
+
+def test_the_evaluation_reports_hands_and_jaw(run, capture, tmp_path):
+    shutil.copytree(capture, tmp_path / "c")
+    shutil.copy(capture / "body.npz", tmp_path / "c/body_truth.npz")
+    opened = open_run(run.directory, capture=tmp_path / "c")
+    result = evaluate(opened, ["train"], fit_steps=0, perceptual=False, progress=False)
+    row = result.as_json()["rows"][0]
+    assert row["mpjpe_hands_mm"] > 0
+    assert row["jaw_deg"] > 0  # twelve steps moved it
+    assert result.as_json()["train_mpjpe_hands_before_mm"] == 0
+    text = table(result)
+    assert "hands" in text
+    assert "finger joints from their wrist" in text
 
 
 def test_joints_that_the_body_lacks_are_named(capture, tmp_path):
