@@ -9,7 +9,6 @@ import dataclasses
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.expression import Expression
@@ -19,6 +18,7 @@ from gavatar_runtime.surface import Surface
 from .attributes import Attributes
 from .blendshapes import expression_of
 from .body import Skeleton
+from .sampling import Sampler
 from .skinning import can_skin_sparse, skin, skin_rotations, skin_sparse, skinning_weights
 
 
@@ -33,13 +33,6 @@ class AvatarConfig:
     init_std: float = 0.1
 
 
-def sample_uv(maps: Tensor, uv: Tensor) -> Tensor:
-    """maps: (B, C, R, R). uv: (N, 2) in [0, 1], v down -> (B, N, C), bilinear, texel centres at (i + 0.5)/R, the edge
-    texel continuing outwards (upstream pads with zero, which darkens the atlas' border)."""
-    grid = (2 * uv - 1)[None, None].expand(len(maps), -1, -1, -1)
-    return F.grid_sample(maps, grid, padding_mode="border", align_corners=False)[:, :, 0].transpose(1, 2)
-
-
 class Avatar(nn.Module):
     """One person's avatar. Its parameters: `features`, `smooth`, `encoder`, `decoder`; all else is derived.
 
@@ -52,7 +45,9 @@ class Avatar(nn.Module):
         self.config, self.skeleton = config, skeleton
         self.encoder, self.decoder = encoder, decoder
         size = config.feature_size
-        self.features = nn.Parameter(config.init_std * torch.randn(1, config.features, size, size))
+        features = config.init_std * torch.randn(1, config.features, size, size)
+        # a texel's channels side by side, as they are sampled
+        self.features = nn.Parameter(features.contiguous(memory_format=torch.channels_last))
         self.smooth = nn.Sequential()
         if config.smoothing:
             convs = (nn.Conv2d(config.features, config.features, 5, padding=2, bias=False) for _ in range(3))
@@ -73,14 +68,19 @@ class Avatar(nn.Module):
             "spacing": torch.as_tensor(surface.spacing, dtype=dtype),
         }.items():
             self.register_buffer(name, values.to(device), persistent=False)
+        self._sample = Sampler(surface.uv)
 
     def attributes(self, pose_features: Tensor | None = None) -> Attributes:
         """Decode every point. pose_features: (B, C, M, M) or None -> Attributes with leading B (1 when None)."""
         if self.surface is None:
             raise UserError("the avatar has no points yet: call sample_at first")
-        features = sample_uv(self.smooth(self.features), self.uv)
-        if pose_features is not None:
-            features = features + sample_uv(pose_features, self.uv)
+        maps = self.smooth(self.features)
+        if pose_features is not None and pose_features.shape[-2:] == maps.shape[-2:]:
+            features = self._sample(maps + pose_features, self.uv)  # sampling is linear
+        elif pose_features is not None:
+            features = self._sample(maps, self.uv) + self._sample(pose_features, self.uv)
+        else:
+            features = self._sample(maps, self.uv)
         B, N, C = features.shape
         out = self.decoder(features.reshape(B * N, C), self.uv.repeat(B, 1), self.spacing.repeat(B))
         rotations = None if out.rotations is None else out.rotations.view(B, N, 4)

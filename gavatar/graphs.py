@@ -16,7 +16,8 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from gavatar_runtime.surface import Surface
 
-from .avatar import Avatar, sample_uv
+from .avatar import Avatar
+from .sampling import bilinear, sample_uv
 
 OPSET = 18
 OUTPUTS = ("offsets", "colors", "scales")
@@ -105,17 +106,6 @@ class RowDecoder(nn.Module):
             sampled = sampled + constant
         out = self.decoder(sampled, uv, spacing)
         return out.offsets, out.colors, out.scales
-
-
-def bilinear(uv: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """The four texels, (N, 4) int64 row x size + column, and weights, (N, 4) float32, by which `sample_uv` reads a map
-    of `size` x `size` texels at uv (N, 2)."""
-    x, y = np.clip(np.asarray(uv, np.float64) * size - 0.5, 0, size - 1).T
-    column, row = np.minimum(x.astype(np.int64), size - 2), np.minimum(y.astype(np.int64), size - 2)
-    a, b = x - column, y - row
-    corner = np.stack([row * size + column + d for d in (0, 1, size, size + 1)], -1)
-    weight = np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b], -1)
-    return corner, weight.astype(np.float32)
 
 
 def to_onnx(module: nn.Module, example: tuple[Tensor, ...], inputs: list[str], outputs: list[str]) -> onnx.ModelProto:

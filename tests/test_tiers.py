@@ -12,10 +12,10 @@ import torch
 from tiny_capture import SMALL, write_tiny_capture
 from torch import nn
 
-from gavatar.avatar import sample_uv
 from gavatar.export import export, on_front
 from gavatar.graphs import bilinear, subpixel
 from gavatar.registry import TIERS, load_plugins
+from gavatar.sampling import sample_uv
 from gavatar.tiers import limb_of_joints, part_of_points, upsampling
 from gavatar.tradeoff import Choice, Row, compare, images, mark_dominated
 from gavatar.training.run import open_run, train

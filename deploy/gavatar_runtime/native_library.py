@@ -61,6 +61,8 @@ _SIGNATURES = {
     "gv_skin_backward": (_I, [_L, _I, _I, _I] + [_P] * 7),
     "gv_blendshapes": (_I, [_L, _I, _I] + [_P] * 8),
     "gv_upsample": (_I, [_L, _I, _I] + [_P] * 7),
+    "gv_ssim": (_I, [_L, _I, _I, _I, _I] + [_P] * 6),
+    "gv_sparse_product": (_I, [_L, _I, _I] + [_P] * 5),
 }
 
 

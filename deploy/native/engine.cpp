@@ -572,3 +572,37 @@ GV_API int32_t gv_skin_backward(int64_t count, int32_t slots, int32_t joints, in
   });
   return sound ? code : -2;
 }
+
+GV_API int32_t gv_ssim(int64_t planes, int32_t height, int32_t width, int32_t taps_y, int32_t taps_x,
+                       const float* column, const float* line, const float* x, const float* y, double* values,
+                       float* gradients) {
+  return guarded([&](Engine& e) {
+    const Kernels& kernels = e.kernels();
+    e.prepare();
+    size_t floats = kernels.ssim_scratch_floats(width, taps_x, taps_y), pixels = (size_t)height * width;
+    Buffer<float> scratch;
+    scratch.reserve(floats * e.pool->size());
+    auto plane = [&](uint32_t i, int thread) {
+      kernels.ssim_plane(height, width, taps_y, taps_x, column, line, x + pixels * i, y + pixels * i, values + i,
+                         gradients ? gradients + pixels * i : nullptr, scratch.data() + floats * thread);
+    };
+    e.pool->for_each((uint32_t)planes, plane);
+  });
+}
+
+GV_API int32_t gv_sparse_product(int64_t count, int32_t channels, int32_t rows, const int32_t* offset,
+                                 const int32_t* index, const float* weight, const float* table, float* out) {
+  std::atomic<bool> sound{true};
+  int32_t code = guarded([&](Engine& e) {
+    const Kernels& kernels = e.kernels();
+    e.prepare();
+    constexpr int64_t PIECE = 1024;
+    auto piece = [&](uint32_t i, int) {
+      if (!kernels.sparse_product(i * PIECE, std::min(count, (int64_t)(i + 1) * PIECE), channels, rows, offset, index,
+                                  weight, table, out))
+        sound = false;
+    };
+    e.pool->for_each((uint32_t)((count + PIECE - 1) / PIECE), piece);
+  });
+  return sound ? code : -2;
+}

@@ -139,6 +139,12 @@ struct Kernels {
                       float* scales);
   bool (*upsample)(int64_t begin, int64_t end, int32_t slots, int32_t rows, const float* base, const int32_t* index,
                    const float* weight, const float* table, float* points, float* colors, float* scales);
+  size_t (*ssim_scratch_floats)(int32_t width, int32_t taps_x, int32_t taps_y);
+  // `gradient` may be null. `column` and `line`: the window's weights down and along.
+  void (*ssim_plane)(int32_t height, int32_t width, int32_t taps_y, int32_t taps_x, const float* column,
+                     const float* line, const float* x, const float* y, double* value, float* gradient, float* scratch);
+  bool (*sparse_product)(int64_t begin, int64_t end, int32_t channels, int32_t rows, const int32_t* offset,
+                         const int32_t* index, const float* weight, const float* table, float* out);
 };
 
 }  // namespace gv

@@ -110,3 +110,13 @@ GV_API int32_t gv_blendshapes(int64_t count, int32_t groups, int32_t parts, cons
 // Upsampling: the residual is sum_k weight[n, k] table[index[n, k]]. table: (rows, 8).
 GV_API int32_t gv_upsample(int64_t count, int32_t slots, int32_t rows, const float* base, const int32_t* index,
                            const float* weight, const float* table, float* points, float* colors, float* scales);
+
+// SSIM (Wang et al. 2004) of planes (P, H, W) with a separable, symmetric window of up to 11 x 11 weights, K1 = 0.01, K2 = 0.03 and
+// range 1: values (P,) the mean over the positions where the window fits, gradients (P, H, W) of each value by its plane
+// of x, or null. H >= taps_y and W >= taps_x.
+GV_API int32_t gv_ssim(int64_t planes, int32_t height, int32_t width, int32_t taps_y, int32_t taps_x,
+                       const float* column, const float* line, const float* x, const float* y, double* values,
+                       float* gradients);
+// A sparse matrix (rows as ranges of `offset` (N + 1,)) times a table of `rows` rows of `channels` floats: out (N, channels).
+GV_API int32_t gv_sparse_product(int64_t count, int32_t channels, int32_t rows, const int32_t* offset,
+                                 const int32_t* index, const float* weight, const float* table, float* out);

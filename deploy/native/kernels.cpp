@@ -9,6 +9,7 @@ using namespace gv;
 #include "project.inc"
 #include "blend.inc"
 #include "skin.inc"
+#include "training.inc"
 }  // namespace GV_NAMESPACE
 
 namespace gv {
@@ -21,5 +22,7 @@ const Kernels GV_JOIN(kernels_, GV_NAMESPACE) = {
     GV_NAMESPACE::backward_tile,          GV_NAMESPACE::backward_project,
     GV_NAMESPACE::skin,                   GV_NAMESPACE::skin_backward,
     GV_NAMESPACE::blendshapes,            GV_NAMESPACE::upsample,
+    GV_NAMESPACE::ssim_scratch_floats,    GV_NAMESPACE::ssim_plane,
+    GV_NAMESPACE::sparse_product,
 };
 }  // namespace gv

@@ -162,6 +162,9 @@ class _Stage:
         if resume is not None:
             start = resume["step"]
             self.optimizer.load_state_dict(resume["optimizer"])
+            for parameter, state in self.optimizer.state.items():  # whatever the layout it was saved in
+                for key in ("exp_avg", "exp_avg_sq"):
+                    state[key] = torch.empty_like(parameter).copy_(state[key]).detach()
             self.motion_optimizer.load_state_dict(resume["motion_optimizer"])
         trainer, steps = self.trainer, self.config.steps
         trainer.avatar.train()
