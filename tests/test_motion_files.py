@@ -460,6 +460,66 @@ def test_a_half_turn_and_a_rest_pose_are_exact(tmp_path):
     np.testing.assert_allclose(motion.poses[:, spine], 0, atol=1e-6)
 
 
+def zxy_degrees(R):
+    """(..., 3) angles about Z, X and Y, applied in that order about the turned axes, of rotations (..., 3, 3)."""
+    z, x = np.arctan2(-R[..., 0, 1], R[..., 1, 1]), np.arcsin(np.clip(R[..., 2, 1], -1, 1))
+    return np.degrees(np.stack([z, x, np.arctan2(-R[..., 2, 0], R[..., 2, 2])], -1))
+
+
+def scrambled(bvh, seed=0):
+    """The same motion in a rig whose joints' axes, and so its OFFSETs, are turned at random: at rest no person."""
+    count = len(bvh.names)
+    S = matrix_from_axis_angle(np.random.default_rng(seed).normal(0, 2, (count, 3)))
+    world = bvh.world_rotations() @ S
+    local, offsets = world.copy(), bvh.offsets.copy()
+    for j, parent in enumerate(bvh.parents):
+        if parent >= 0:
+            local[:, j] = np.swapaxes(world[:, parent], -1, -2) @ world[:, j]
+            offsets[j] = S[parent].T @ bvh.offsets[j]
+    return dataclasses.replace(bvh, rotations=local, offsets=offsets)
+
+
+def write_parsed(path, bvh):
+    """A parsed file as text again."""
+    children = {j: [k for k, p in enumerate(bvh.parents) if p == j] for j in range(-1, len(bvh.names))}
+    lines, order = ["HIERARCHY"], []
+
+    def joint(j):
+        order.append(j)
+        lines.extend([f"{'JOINT' if bvh.parents[j] >= 0 else 'ROOT'} {bvh.names[j]}", "{"])
+        lines.append("OFFSET " + " ".join(f"{v:.9f}" for v in bvh.offsets[j]))
+        places = "6 Xposition Yposition Zposition" if bvh.parents[j] < 0 else "3"
+        lines.append(f"CHANNELS {places} Zrotation Xrotation Yrotation")
+        for child in children[j]:
+            joint(child)
+        lines.append("}")
+
+    joint(children[-1][0])
+    angles = zxy_degrees(bvh.rotations)[:, order].reshape(len(bvh.root), -1)
+    lines += ["MOTION", f"Frames: {len(bvh.root)}", f"Frame Time: {1 / bvh.fps:.8f}"]
+    lines += [" ".join(f"{v:.9f}" for v in [*root, *row]) for root, row in zip(bvh.root, angles, strict=True)]
+    Path(path).write_text("\n".join(lines) + "\n")
+
+
+def test_offsets_that_draw_no_person_are_understood_by_the_first_frame(tmp_path):
+    angles = random_angles(6)
+    angles[0] = 0  # the first frame stands in the rest pose
+    root = np.stack([np.linspace(0, 50, 6), np.full(6, 95.0), np.zeros(6)], 1)
+    write_bvh(tmp_path / "plain.bvh", angles, root)
+    write_parsed(tmp_path / "odd.bvh", scrambled(read_bvh(tmp_path / "plain.bvh")))
+    expected = read_motion(tmp_path / "plain.bvh")
+    odd = read_motion(tmp_path / "odd.bvh", rest="first-frame")
+    # 1e-5 rad: nine digits of degrees through thirty products
+    there, here = (matrix_from_axis_angle(m.poses.astype(float)) for m in (expected, odd))
+    np.testing.assert_allclose(here, there, atol=1e-5)
+    np.testing.assert_allclose(odd.trans, expected.trans, atol=1e-5)
+    assert np.abs(matrix_from_axis_angle(read_motion(tmp_path / "odd.bvh").poses.astype(float)) - there).max() > 0.5
+    plain = read_motion(tmp_path / "plain.bvh", rest="first-frame")
+    np.testing.assert_allclose(plain.poses, expected.poses, atol=1e-6)
+    with pytest.raises(UserError, match="rest=second: choose from offsets, first-frame"):
+        read_motion(tmp_path / "plain.bvh", rest="second")
+
+
 @pytest.mark.parametrize(
     ("name", "side", "what"),
     [
@@ -570,6 +630,36 @@ def test_the_shared_clips_are_upright_people(name):
     # toes lie before the heels, in the direction that the pelvis faces
     foot = T[:, SMPLH.index("left_foot"), :3, 3] - T[:, SMPLH.index("left_ankle"), :3, 3]
     assert ((foot * T[:, 0, :3, 2]).sum(-1) > 0).mean() > 0.8
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["dab", "jumping", "jumping_jacks", "wave_hello", "zombie"])
+def test_the_first_frame_of_the_shared_clips_may_be_their_rest_pose(name, tmp_path):
+    path = SHARED / f"{name}.bvh"
+    if not path.exists():
+        pytest.skip(f"{path} is absent")
+    offsets, first = read_motion(path), read_motion(path, rest="first-frame")
+    middle = [SMPLH.index(n) for n in ("spine1", "spine2", "spine3", "neck", "head")]
+    # 1e-6: the person stands at rest in the first frame
+    assert np.abs(matrix_from_axis_angle(first.poses[0, middle].astype(float)) - np.eye(3)).max() < 1e-6
+    body = free_body()
+    _, rest = body.shaped(None)
+    limbs = [joint_transforms(m.poses.astype(np.float64), rest, body.parents)[..., :3, 3] for m in (offsets, first)]
+    # whatever the rest pose, limbs point where the rig's do; who stands at rest faces +z, so the heading may differ
+    pairs = [(SMPLH.index(f"{s}_{a}"), SMPLH.index(f"{s}_{b}")) for s in ("left", "right") for a, b in NEXT.items()]
+    mine, theirs = (np.concatenate([directions(places, *pair) for pair in pairs]) for places in limbs)
+    U, _, Vt = np.linalg.svd(theirs.T @ mine)
+    turn = U @ Vt
+    np.testing.assert_allclose(turn, np.round(turn), atol=1e-3)  # a quarter, a half or no turn ...
+    assert turn[1, 1] == pytest.approx(1, abs=1e-5)  # ... about the vertical
+    angle = np.degrees(np.arccos(np.clip((theirs * (mine @ turn.T)).sum(-1), -1, 1)))
+    assert angle.max() < 0.1  # float32 axis-angle
+    # the odd twin of the clip, whose OFFSETs draw nothing, is read as the same motion
+    write_parsed(tmp_path / "odd.bvh", scrambled(read_bvh(path)))
+    odd = read_motion(tmp_path / "odd.bvh", rest="first-frame")
+    there, here = (matrix_from_axis_angle(m.poses.astype(float)) for m in (first, odd))
+    np.testing.assert_allclose(here, there, atol=1e-4)  # nine digits of degrees through sixty products
+    np.testing.assert_allclose(odd.trans, first.trans, atol=1e-4)
 
 
 @pytest.mark.shared

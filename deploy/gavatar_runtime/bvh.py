@@ -49,6 +49,20 @@ class Bvh:
                 out[:, j] = out[:, parent] + world[:, parent] @ self.offsets[j]
         return out
 
+    def rested(self, frame: int = 0) -> Bvh:
+        """The same motion with the pose of a frame, root orientation included, as the rest pose that the OFFSETs
+        draw."""
+        world = self.world_rotations()
+        start = world[frame]
+        turned = world @ np.swapaxes(start, -1, -2)
+        rotations, offsets = turned.copy(), self.offsets.astype(np.float64)
+        for j, parent in enumerate(self.parents):
+            if parent >= 0:
+                rotations[:, j] = np.swapaxes(turned[:, parent], -1, -2) @ turned[:, j]
+                offsets[j] = start[parent] @ self.offsets[j]
+        tips = np.einsum("jab,jb->ja", start, self.tips)
+        return dataclasses.replace(self, rotations=rotations, offsets=offsets, tips=tips)
+
 
 def read_bvh(path: str | os.PathLike) -> Bvh:
     """Parse a file. Raises UserError naming the file and the line or field."""

@@ -19,6 +19,7 @@ EPILOG = """examples
   gavatar-motion convert dance.bvh -o dance.npz --fps 30
   gavatar-motion convert rig.bvh -o rig.npz --set mapping=rig.json
   gavatar-motion convert walk.npz -o walk_smpl.npz --joints smpl
+  gavatar-motion convert walk.bvh -o walk.npz --rest first-frame --on anna.gavatar --ground
 
 Formats: .npz (AMASS, SMPL, SMPL-H, SMPL-X), .pkl (AIST++), .pth (GaussianAvatar), .bvh; built-in names work too.
 """
@@ -36,10 +37,14 @@ def parser() -> argparse.ArgumentParser:
         command.add_argument("motion", metavar="NAME|FILE")
         command.add_argument("--set", action="append", default=[], metavar="KEY=VALUE",
                              help="an option of the format: up=z, fps=60, units=cm, mapping=FILE")  # fmt: skip
+        command.add_argument("--rest", choices=("offsets", "first-frame"),
+                             help="of BVH: the pose that counts as standing at rest (default: offsets)")  # fmt: skip
     info.add_argument("--json", action="store_true", help="print JSON")
     convert.add_argument("-o", "--out", metavar="FILE.npz", type=Path, required=True)
     convert.add_argument("--fps", type=float, help="resample to so many frames per second (slerp)")
     convert.add_argument("--joints", choices=SKELETONS, default="same", help="of the written file (default: same)")
+    convert.add_argument("--on", metavar="AVATAR", help="for this avatar's body: its joints, its legs, its hand data")
+    convert.add_argument("--ground", action="store_true", help="with --on: let the avatar stand on the floor, y = 0")
     convert.add_argument("--overwrite", action="store_true", help="replace FILE.npz if it exists")
     return p
 
@@ -52,6 +57,8 @@ def main(argv: list[str] | None = None) -> int:
     from .play import parse_settings
 
     options = parse_settings([f"motion.{setting}" for setting in arguments.set])["motion"]
+    if arguments.rest:
+        options["rest"] = arguments.rest
     motion = read_motion(arguments.motion, **options)
     if arguments.command == "info":
         values = describe(motion)
@@ -121,13 +128,19 @@ def _convert(arguments: argparse.Namespace, motion: Motion) -> int:
     out = arguments.out
     if out.suffix.lower() != ".npz":
         raise UserError(f"{out}: the file that is written is an .npz: give it that suffix")
+    if arguments.ground and not arguments.on:
+        raise UserError("--ground needs --on AVATAR: how high a motion stands depends on the body")
+    if arguments.on and arguments.joints != "same":
+        raise UserError("--on says which joints are written: leave --joints out")
     if out.exists() and not arguments.overwrite:
         raise UserError(f"{out} exists: choose another name or replace it with --overwrite")
     if arguments.fps is not None:
         if not 0 < arguments.fps < 1e6:
             raise UserError(f"--fps {arguments.fps:g}: give a positive number of frames per second")
         motion = motion.resampled(arguments.fps)
-    if arguments.joints != "same":
+    if arguments.on:
+        motion = _on_avatar(arguments, motion)
+    elif arguments.joints != "same":
         # what no skeleton tells stays as it is: a body will
         kept = {"expression": motion.expression, "hands": motion.hands}
         motion, ignored = fit_motion(dataclasses.replace(motion, expression=None, hands=None), NAMES[arguments.joints])
@@ -137,6 +150,21 @@ def _convert(arguments: argparse.Namespace, motion: Motion) -> int:
     write_motion(out, motion)
     print(f"{out}: {len(motion)} frames at {motion.fps:g} a second, {motion.poses.shape[1]} joints, y-up, metres")
     return 0
+
+
+def _on_avatar(arguments: argparse.Namespace, motion: Motion) -> Motion:
+    """The motion as that avatar would play it."""
+    from ..avatar import Avatar
+    from ..grounding import grounded
+
+    avatar = Avatar(arguments.on)
+    motion, ignored = avatar.fit(motion)
+    if ignored:
+        print(f"note: {avatar.name} has no {', '.join(ignored)}; the motion's are ignored")
+    if arguments.ground:
+        motion, lift = grounded(avatar, motion)
+        print(f"note: moved {'up' if lift >= 0 else 'down'} by {abs(lift):.3f} m, on the floor")
+    return motion
 
 
 if __name__ == "__main__":

@@ -42,6 +42,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--out", metavar="PATH", help="X.mp4, X.png (contact sheet) or folder/ (default: next to the bundle)"
     )
+    p.add_argument("--ground", action="store_true", help="let the avatar stand on the floor, y = 0")
+    p.add_argument("--rest", choices=("offsets", "first-frame"),
+                   help="of BVH: the pose that counts as standing at rest (default: offsets)")  # fmt: skip
     time = p.add_argument_group("time")
     time.add_argument(
         "--fps", type=_positive, help=f"frames per second (default: the motion's own, at most {DEFAULT_FPS:g})"
@@ -98,6 +101,8 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser().parse_args(argv)
     start = perf_counter()
     options = parse_settings(arguments.set)
+    if arguments.rest:
+        options["motion"]["rest"] = arguments.rest
 
     from .. import native_library
     from ..avatar import Avatar
@@ -119,6 +124,10 @@ def main(argv: list[str] | None = None) -> int:
     else:
         avatar = Avatar(bundle, tier=tier, uv=arguments.uv, reuse=arguments.reuse, threads=arguments.threads)
     motion, ignored = avatar.fit(clip(motion, arguments.fps, arguments.seconds, arguments.frames))
+    if arguments.ground:
+        from ..grounding import grounded
+
+        motion, _ = grounded(avatar, motion)
     rasterizer = build_rasterizer(arguments.rasterizer, options["rasterizer"], threads=arguments.threads)
     cameras = choose_cameras(arguments, avatar, motion)
     out = arguments.out or _default_output(arguments.avatar, motion.name)
