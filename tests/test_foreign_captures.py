@@ -20,6 +20,7 @@ from gavatar.capture_check import check_capture
 from gavatar.cli.prepare import main as prepare
 from gavatar.registry import CAPTURES, load_plugins
 from gavatar_plugins.captures.instantavatar import PUBLISHED, InstantAvatarCapture, InstantAvatarOptions
+from gavatar_plugins.captures.neuman import _splits as neuman_splits
 from gavatar_plugins.captures.zju import ZjuCapture, ZjuOptions
 from gavatar_runtime.errors import UserError
 
@@ -160,6 +161,45 @@ def test_refined_poses_of_a_split_replace_the_estimates(tmp_path):
     (folder / "poses/anim_nerf_train.npz").unlink()
     with pytest.raises(UserError, match=r"poses\.npz is missing, and so is poses_optimized"):
         open_capture(folder)
+
+
+def test_refined_poses_may_hold_more_rows_than_the_split_and_masks_pictures_beside_the_arrays(tmp_path):
+    write.instantavatar(tmp_path, frames=12)
+    (tmp_path / "poses").mkdir()
+    poses = np.random.default_rng(0).normal(0, 0.1, (15, 72)) + np.eye(72)[0] * np.pi
+    np.savez(tmp_path / "poses/anim_nerf_train.npz", betas=np.ones((1, 10)), transl=np.full((15, 3), 2.0),
+             global_orient=poses[:, :3], body_pose=poses[:, 3:])  # fmt: skip
+    for i in range(12):
+        cv2.imwrite(str(tmp_path / f"masks/mask_{i:04d}.png"), np.zeros((48, 64), np.uint8))
+    capture = open_capture(tmp_path)
+    train = [view.frame for view in capture.splits["train"]]
+    np.testing.assert_allclose(capture.placement.source.poses[train].reshape(11, 72), poses[:11].astype(np.float32))
+    assert capture.mask_path(capture.views("train")[0]).suffix == ".npy"
+    assert check_capture(tmp_path).faults == []
+
+
+def test_names_of_upstreams_frames_end_at_the_first_dot(tmp_path):
+    write.upstream(tmp_path, moving=True)
+    for folder in ("images", "masks"):
+        for path in (tmp_path / "train" / folder).iterdir():
+            path.rename(path.with_name(f"{path.stem}.{folder}.png"))
+    assert check_capture(tmp_path).faults == []
+
+
+def test_neumans_masks_may_be_arrays_and_its_splits_are_rounded_as_its_authors_do(tmp_path):
+    expected = write.neuman(tmp_path)
+    for path in sorted((tmp_path / "segmentations").iterdir()):
+        np.save(f"{path}.npy", cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+        path.unlink()
+    capture = open_capture(tmp_path)
+    view = capture.views("train")[0]
+    assert capture.mask_path(view).name == "00000.png.npy"
+    np.testing.assert_array_equal(capture.load(view)[1] > 0.5, expected["person"])
+    assert check_capture(tmp_path).faults == []
+    names = [f"{i:05d}.png" for i in range(1245)]
+    splits = neuman_splits(tmp_path, names)
+    held = list(range(1245))[2::4]  # int(1 / 249 * 1245) is 4, not 5
+    assert sorted(v.frame for s in ("test", "val") for v in splits[s]) == held
 
 
 def test_zju_cameras_and_frames_are_chosen_as_published(tmp_path):

@@ -231,6 +231,41 @@ def test_an_aist_motion_is_scaled_to_metres_at_60_frames(tmp_path):
     np.testing.assert_allclose(motion.trans, content["smpl_trans"] / 93.78, rtol=1e-6)
 
 
+def test_a_dance_by_edge_runs_at_30_frames_in_metres_and_is_turned_upright(tmp_path):
+    turn = np.tile([np.pi / 2, 0, 0], (6, 1))  # z-up
+    content = {"smpl_poses": np.concatenate([turn, numbers(6, 69)], 1), "smpl_trans": numbers(6, 3),
+               "full_pose": numbers(6, 24, 3)}  # fmt: skip
+    (tmp_path / "edge.pkl").write_bytes(pickle.dumps(content))
+    motion = read_motion(tmp_path / "edge.pkl")
+    assert (motion.fps, len(motion)) == (30, 6)
+    np.testing.assert_allclose(motion.poses[:, 0], 0, atol=1e-6)
+    np.testing.assert_allclose(motion.trans, content["smpl_trans"] @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-6)
+
+
+def test_amass_files_of_smplx_with_all_that_they_hold_are_read(tmp_path):
+    """The keys of AMASS's *_stageii.npz of 2022 and later, some of them objects."""
+    parts = {"root_orient": 3, "pose_body": 63, "pose_jaw": 3, "pose_eye": 6, "pose_hand": 90}
+    arrays = {name: numbers(4, width, seed=i).astype(float) for i, (name, width) in enumerate(parts.items())}
+    np.savez(
+        tmp_path / "a_stageii.npz", gender="neutral", surface_model_type=np.array("smplx", object),
+        mocap_frame_rate=120.0, mocap_time_length=4 / 120, markers_latent=numbers(53, 3),
+        latent_labels=np.array(["ARIEL"] * 53), markers_latent_vids=np.array({"ARIEL": 1}, object),
+        trans=numbers(4, 3), poses=np.concatenate(list(arrays.values()), 1), betas=numbers(16), num_betas=16, **arrays,
+    )  # fmt: skip
+    motion = read_motion(tmp_path / "a_stageii.npz", up="y")
+    assert (motion.poses.shape, motion.fps, motion.betas.shape) == ((4, 55, 3), 120, (16,))
+    assert motion.hands is None
+    np.testing.assert_array_equal(motion.poses[:, SMPLX.index("jaw")], arrays["pose_jaw"].astype(np.float32))
+    np.testing.assert_array_equal(motion.poses[:, 25:].reshape(4, 90), arrays["pose_hand"].astype(np.float32))
+
+
+def test_numpy_arrays_in_a_pth_are_read_as_tensors_are(tmp_path):
+    content = {"beta": np.zeros((1, 10)), "body_pose": numbers(3, 72), "trans": numbers(3, 3)}
+    torch.save(content, tmp_path / "smpl_parms.pth")
+    motion = read_motion(tmp_path / "smpl_parms.pth", up="y")
+    np.testing.assert_array_equal(motion.poses.reshape(3, 72), content["body_pose"])
+
+
 @pytest.mark.parametrize("scaling", [np.array([0.0]), np.array([np.nan]), np.ones(2), np.array(["x"])])
 def test_a_senseless_aist_scaling_is_named(tmp_path, scaling):
     (tmp_path / "a.pkl").write_bytes(pickle.dumps({"smpl_poses": numbers(2, 72), "smpl_scaling": scaling}))

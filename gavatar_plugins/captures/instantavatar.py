@@ -68,7 +68,7 @@ class InstantAvatarCapture:
         path, faults = Path(path), faults or Faults()
         cam = faults.of(_camera, path / "cameras.npz")
         images = faults.of(images_of, path / "images")
-        masks = faults.of(images_of, path / "masks", (".npy", ".png"))
+        masks = faults.of(_masks, path / "masks")
         if images and masks and len(images) != len(masks):
             faults.add(f"{path / 'masks'} holds {len(masks)} masks, but {path / 'images'} holds {len(images)} images")
         splits = faults.of(self._splits, path, len(images)) if images else None
@@ -148,11 +148,20 @@ class InstantAvatarCapture:
             if file is None or not splits.get(split):
                 continue
             motion = faults.of(read_motion, file, up="y", fps=self.config.fps)
-            if motion is not None and len(motion) != len(splits[split]):
+            if motion is None:
+                continue
+            if len(motion) < len(splits[split]):
                 faults.add(f"{file} has poses of {len(motion)} frames, but split '{split}' has {len(splits[split])}")
-            found[split] = motion
+            # InstantAvatar takes the first rows, one for each image, of files that hold more
+            found[split] = motion.taken(slice(len(splits[split])))
         faults.stop()
         return found
+
+
+def _masks(folder: Path) -> list[Path]:
+    """People-Snapshot's reader takes masks/*.npy alone, the one for phone videos *.png: of both, the arrays count."""
+    arrays = folder.is_dir() and any(p.suffix == ".npy" for p in folder.iterdir())
+    return images_of(folder, (".npy",) if arrays else (".npy", ".png"))
 
 
 def _whole_file(path: Path) -> Path | None:

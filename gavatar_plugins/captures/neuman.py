@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from gavatar.capture import Capture, View, read_image
-from gavatar.foreign import camera, matrix, require
+from gavatar.foreign import camera, matrix, npy_mask, require
 from gavatar.placement import Placement, levelled
 from gavatar.registry import CAPTURES
 from gavatar_runtime.camera import Camera
@@ -37,11 +37,11 @@ class NeuManOptions:
 )
 class NeuManCapture:
     """sparse/cameras.txt and images.txt: COLMAP's, positions count from the image's corner; lens distortion is left
-    out, as NeuMan does. images/, segmentations/NAME (255 on what is not the person). smpl_output_optimized.pkl or
-    smpl_output_romp.pkl: {1: pose (T, 72), betas (T, 10)}, rows by the number in the image's name. alignments.npy:
-    {image name: (4, 3)}, a row [x, 1] of the posed model times which is its place in COLMAP's scene, with a scale; the
-    scene of each frame is shrunk to metres here, which no image shows. Splits: train|val|test_split.txt, else the
-    authors' rule (every fifth image to test, then val)."""
+    out, as NeuMan does. images/, segmentations/NAME or NAME.npy (255 on what is not the person).
+    smpl_output_optimized.pkl or smpl_output_romp.pkl: {1: pose (T, 72), betas (T, 10)}, rows by the number in the
+    image's name. alignments.npy: {image name: (4, 3)}, a row [x, 1] of the posed model times which is its place in
+    COLMAP's scene, with a scale; the scene of each frame is shrunk to metres here, which no image shows. Splits:
+    train|val|test_split.txt, else the authors' rule (every fifth image to test, then val)."""
 
     signs = "alignments.npy and sparse/"
 
@@ -82,7 +82,7 @@ class NeuManCapture:
             motion=placement.motion(),
             truth=None,
             image_path=lambda view: path / "images" / names[view.frame],
-            mask_path=lambda view: path / "segmentations" / names[view.frame],
+            mask_path=lambda view: _mask_path(path / "segmentations", names[view.frame]),
             read_mask=_mask,
             moving=moving,
             listing="sparse/images.txt",
@@ -247,14 +247,19 @@ def _splits(path: Path, names: list[str]) -> dict[str, list[View]]:
     count = len(names) // 5
     if count < 2:
         return {"train": [View(CAM, f) for f in range(len(names))]}
-    step = int(len(names) / count)
+    step = int(1 / count * len(names))  # in this order, as data_io/neuman_helper.py rounds: 1245 images are 4 apart
     held = list(range(len(names)))[step // 2 :: step]
     parts = {"train": [f for f in range(len(names)) if f not in held], "test": held[: len(held) // 2]}
     parts["val"] = held[len(held) // 2 :]
     return {split: [View(CAM, f) for f in frames] for split, frames in parts.items()}
 
 
+def _mask_path(folder: Path, name: str) -> Path:
+    """NAME.npy where it lies, as NeuMan's reader has it, else the image NAME."""
+    return array if (array := folder / f"{name}.npy").is_file() else folder / name
+
+
 def _mask(path: Path) -> np.ndarray:
     """(H, W) uint8 alpha: the file is 255 where the person is not."""
-    labels = read_image(path, cv2.IMREAD_GRAYSCALE)
+    labels = npy_mask(path) if path.suffix == ".npy" else read_image(path, cv2.IMREAD_GRAYSCALE)
     return np.where(labels == 255, 0, 255).astype(np.uint8)

@@ -132,7 +132,7 @@ def _cameras(folder: Path, images: list[Path]) -> list[Camera]:
     if not (folder / "cam_parms").is_dir():
         raise UserError(f"{static} is missing, and so is {folder / 'cam_parms'}/ of a moving camera")
     faults = Faults(collect=True)
-    files = [folder / "cam_parms" / f"{image.stem}.npz" for image in images]
+    files = [folder / "cam_parms" / f"{_base(image)}.npz" for image in images]
     cameras = faults.each(read, files, f"files of {folder / 'cam_parms'} are faulty")
     faults.stop()
     return cameras
@@ -140,5 +140,10 @@ def _cameras(folder: Path, images: list[Path]) -> list[Camera]:
 
 def _masks(folder: Path, images: list[Path]) -> list[Path]:
     """The mask of each image, by its name; the path that should be there for one that is not."""
-    found = {p.stem: p for p in images_of(folder / "masks", IMAGES)}
-    return [found.get(image.stem, folder / "masks" / f"{image.stem}.png") for image in images]
+    found = {_base(p): p for p in images_of(folder / "masks", IMAGES)}
+    return [found.get(_base(image), folder / "masks" / f"{_base(image)}.png") for image in images]
+
+
+def _base(path: Path) -> str:
+    """What upstream calls a frame by: its image's name to the first dot."""
+    return path.name.split(".")[0]

@@ -16,14 +16,15 @@ from .fields import SmplFields, check_up
 from .source import MOTIONS
 
 AIST_FPS = 60.0  # of the data set's videos; its files do not say
+EDGE_FPS = 30.0  # of dances by EDGE (Tseng et al. 2023), which are told by their joint positions, full_pose (T, 24, 3)
 UPSTREAM_FPS = 30.0  # of phone video; upstream's files do not say either
 
 
 @dataclasses.dataclass
 class PickleOptions:
     """up: the file's vertical axis, `y`, `z`, `-y` or `auto`: the one that the pelvis points along on average. fps: 0
-    is the file's own or, where it states none, the format's: 60 for AIST++, 30 for .pth. hands, hand_mean: as of
-    .npz."""
+    is the file's own or, where it states none, the format's: 60 for AIST++, 30 for EDGE and .pth. hands, hand_mean: as
+    of .npz."""
 
     up: str = "auto"
     fps: float = 0.0
@@ -53,17 +54,21 @@ class _Pickled:
         arrays = {str(key): value for key, value in arrays.items()}
         fields = SmplFields(self.path, arrays, hands=config.hands, hand_mean=config.hand_mean)
         return fields.motion(
-            up=config.up, fps=config.fps, default_fps=self.default_fps, trans_scale=self._trans_scale(arrays)
+            up=config.up, fps=config.fps, default_fps=self._default_fps(arrays), trans_scale=self._trans_scale(arrays)
         )
 
     def _trans_scale(self, arrays: dict) -> float:
         return 1.0
 
+    def _default_fps(self, arrays: dict) -> float:
+        return self.default_fps
+
 
 @MOTIONS.register("aist", config=PickleOptions, summary="AIST++ .pkl: smpl_poses, smpl_trans, smpl_scaling")
 class AistFile(_Pickled):
     """smpl_poses (T, 72), smpl_trans (T, 3) in the units of the cameras, smpl_scaling (1,): a body's metre in them, so
-    that smpl_trans / smpl_scaling is metres. Other pickles of SMPL fields are read as well."""
+    that smpl_trans / smpl_scaling is metres (aist_plusplus/loader.py, visualizer.py). EDGE writes the same fields in
+    metres. Other pickles of SMPL fields are read as well."""
 
     suffixes = (".pkl", ".pickle")
     default_fps = AIST_FPS
@@ -78,6 +83,9 @@ class AistFile(_Pickled):
         if scaling.size != 1 or scaling.dtype.kind not in "fiu" or not 0 < float(scaling.reshape(-1)[0]) < np.inf:
             raise UserError(f"{self.path}: smpl_scaling must be one positive number")
         return 1 / float(scaling.reshape(-1)[0])
+
+    def _default_fps(self, arrays: dict) -> float:
+        return EDGE_FPS if "full_pose" in arrays and "smpl_scaling" not in arrays else self.default_fps
 
 
 @MOTIONS.register("torch", config=PickleOptions, summary=".pth of tensors: upstream's smpl_parms.pth, SMPL fields")
