@@ -82,6 +82,27 @@ def STUDIES() -> dict[str, list[Variant]]:
             Variant("isotropic", STATIC, run="static"),
             Variant("anisotropic", ["decoder.anisotropic=true", *STATIC]),
         ],
+        "masks": [
+            Variant("true masks", STATIC, run="static"),
+            Variant("true masks, mask_edge 4", ["mask_edge=4", *STATIC]),
+            Variant("masks too wide", STATIC, fault="wide_mask"),
+            Variant("masks too wide, mask_edge 4", ["mask_edge=4", *STATIC], fault="wide_mask"),
+        ],
+        "unseen": [
+            Variant("front only", STATIC, fault="front"),
+            Variant("front only, fill_unseen", ["fill_unseen=true", *STATIC], fault="front"),
+        ],
+        "exposure": [
+            Variant("steady", STATIC, run="static"),
+            Variant("flicker", STATIC, fault="flicker"),
+            Variant("flicker, exposure", ["exposure=true", *STATIC], fault="flicker"),
+            Variant("steady, exposure", ["exposure=true", *STATIC]),
+        ],
+        "start": [
+            Variant(f"{start}, {steps} steps", [f"colors_from_footage={flag}", f"stage1.steps={steps}", *STATIC])
+            for steps in (60, 150)
+            for start, flag in (("grey", "false"), ("colours of the footage", "true"))
+        ],
         "size": [
             Variant("as trained, 256 px", STATIC, run="static"),
             Variant("512 px, pixel filter alone", STATIC, run="static", image=1.0, prepare=forget_pixel),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -64,8 +65,12 @@ class MotionConfig:
 class TrainConfig:
     """Everything a run needs. capture: directory. out: run directory. background: `random` colour each step, `white`
     or `black`. crop: render only the window in which the person moves. preview_every, checkpoint_every: steps.
-    overwrite: start afresh even if `out` holds another run. dynamics: `always` keeps what stage 2 learns; `auto` only
-    if it gains `dynamics_gain` dB on training views held out of stage 2: else the avatar is static."""
+    overwrite: start afresh even if `out` holds another run. mask_edge: pixels inside the border of every mask that no
+    loss looks at, against the rim that masks cut too wide leave. exposure: learn a gain for every training view, where
+    the footage's brightness drifts. colors_from_footage: begin with colours taken from the images instead of grey.
+    fill_unseen: after stage 1, points that no training view saw take on what is around them. dynamics: `always` keeps
+    what stage 2 learns; `auto` only if it gains `dynamics_gain` dB on training views held out of stage 2: else the
+    avatar is static."""
 
     capture: str = MISSING
     out: str = MISSING
@@ -76,6 +81,10 @@ class TrainConfig:
     background: str = "random"
     crop: bool = True
     train_split: str = "train"
+    mask_edge: float = 0.0
+    exposure: bool = False
+    colors_from_footage: bool = False
+    fill_unseen: bool = False
     dynamics: str = "always"
     dynamics_gain: float = 0.1
     preview_every: int = 200
@@ -130,6 +139,8 @@ def check(config: DictConfig) -> TrainConfig:
         loss_config(name, value)
     if typed.background not in ("random", "white", "black"):
         raise UserError(f"background must be random, white or black, not '{typed.background}'")
+    if not 0 <= typed.mask_edge < math.inf:
+        raise UserError(f"mask_edge must be a number of pixels, 0 or more, not {typed.mask_edge}")
     check_dynamics(typed.dynamics, typed.dynamics_gain)
     if not 0 <= typed.motion.start <= typed.motion.end <= 1:
         raise UserError("motion.start and motion.end must be fractions with 0 <= start <= end <= 1")

@@ -183,7 +183,7 @@ def fit_motion(
 ) -> Motion:
     """See `Evaluator.fit`."""
     capture, config, avatar = run.capture, run.config, run.avatar
-    data = footage(capture, list(views), load_full(capture, list(views)), image_scale, config.crop)
+    data = footage(capture, list(views), load_full(capture, list(views)), image_scale, config.crop, config.mask_edge)
     device = avatar.features.device
     table = MotionTable(capture.motion, run.built.body.data.num_joints, config.motion.joints).to(device)
     frames = sorted({view.frame for view in views})
@@ -229,9 +229,8 @@ def fit_motion(
                 trans_initial=table.initial_trans[frames],
                 frame_times=times,
             )
-            inputs = LossInputs(
-                render=torch.stack(images), target=target, alpha=torch.stack(alphas), mask=mask, motion=motion
-            )
+            target, render, mask, alpha = data.believed(part, target, mask, torch.stack(images), torch.stack(alphas))
+            inputs = LossInputs(render=render, target=target, alpha=alpha, mask=mask, motion=motion)
             losses(inputs)[0].backward()
         optimizer.step(torch.tensor(frames, device=device))
     return table.motion("fitted")

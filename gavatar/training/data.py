@@ -36,15 +36,19 @@ class Footage:
 
     def believed(
         self, rows: list[int], target: Tensor, mask: Tensor, render: Tensor, alpha: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Target (B, 3, H, W) and mask (B, H, W) with the render's own values, without gradient, where they are not
-        believed: no loss then says anything there, whatever its windows or networks look at."""
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Target and render (B, 3, H, W), mask and alpha (B, H, W), the first of each pair replaced by the second where
+        the footage is not believed, and the gradient of the second stopped there: no loss says anything about such a
+        pixel, whatever its windows or networks look at."""
         if self.known is None:
-            return target, mask
+            return target, render, mask, alpha
         known = self.known[rows].to(target.device).float() / 255
+        all_known = known[:, None].expand_as(target)
         return (
-            torch.lerp(render.detach(), target, known[:, None].expand_as(target)),
+            torch.lerp(render.detach(), target, all_known),
+            torch.lerp(render.detach(), render, all_known),
             torch.lerp(alpha.detach(), mask, known),
+            torch.lerp(alpha.detach(), alpha, known),
         )
 
 

@@ -23,9 +23,13 @@ from ..files import load_tensors, save_tensors, write_image, write_json, write_m
 from ..losses import LossComposer, LossInputs, MotionState
 from ..motion import MotionTable, RowAdam
 from .data import Footage, footage, load_full
+from .exposure import RATE as EXPOSURE_RATE
+from .exposure import Exposure
 from .memory import keep_freed_memory
 from .preview import as_image, side_by_side
 from .stage import background_at, batch_rows, level_at, lr_factor
+from .start import start_from_footage
+from .unseen import fill_unseen
 from .verdict import dynamics_verdict, held_out_rows, refuse_worse_poses, view_errors
 
 log = logging.getLogger("gavatar.training")
@@ -61,6 +65,7 @@ class Trainer:
         self.motion = MotionTable(
             self.capture.motion, self.built.body.data.num_joints, config.motion.joints
         ).to(self.device)  # fmt: skip
+        self.exposure = Exposure(len(self.views)).to(self.device) if config.exposure else None
         self.frames = sorted({view.frame for view in self.views})
         self._frame_row = {frame: row for row, frame in enumerate(self.frames)}
         self._footage: dict[float, Footage] = {}
@@ -77,6 +82,8 @@ class Trainer:
         if state is not None:
             self.avatar.load_state_dict(state["avatar"])
             self.motion.load_state_dict(state["motion"])
+            if self.exposure is not None:
+                self.exposure.load_state_dict(state["exposure"])
             self.history, self.seconds = state["history"], state["seconds"]
             self.verdicts = state.get("verdicts", {})
         for number in self._stages():
@@ -97,7 +104,9 @@ class Trainer:
             if self._full is None:
                 bar = _bar(self.config.progress, "reading images", unit="image")
                 self._full = load_full(self.capture, self.views, bar)
-            self._footage = {scale: footage(self.capture, self.views, self._full, scale, self.config.crop)}
+            self._footage = {
+                scale: footage(self.capture, self.views, self._full, scale, self.config.crop, self.config.mask_edge)
+            }
         return self._footage[scale]
 
     def positional_maps(self, frames: list[int]) -> Tensor:
@@ -108,6 +117,12 @@ class Trainer:
             maps = [positional_map(surface, motion.poses[frame]) for frame in self.frames]
             self._maps = torch.from_numpy(np.stack(maps)).permute(0, 3, 1, 2).contiguous()
         return self._maps[[self._frame_row[f] for f in frames]].to(self.device)
+
+    def seen(self, rows: list[int], render: Tensor, alpha: Tensor, background: Tensor) -> Tensor:
+        """Renders (B, 3, H, W) with the exposures of the training views in `rows`, where those are learnt."""
+        if self.exposure is None:
+            return render
+        return self.exposure(rows, render, alpha, background.to(self.device))
 
     def write_metrics(self, finished: bool) -> None:
         write_json(
@@ -151,6 +166,10 @@ class _Stage:
                 {"params": [motion.trans_correction], "lr": options.lr_trans},
             ]
         )
+        exposure = [] if trainer.exposure is None else [trainer.exposure.log_gain]
+        self.exposure_optimizer = RowAdam(exposure, lr=EXPOSURE_RATE) if exposure and number == 1 else None
+        for gain in exposure:
+            gain.requires_grad_(number == 1)
         avatar.features.requires_grad_(number == 1)
         avatar.smooth.requires_grad_(number == 1)
         motion.requires_grad_(self.moves)
@@ -166,8 +185,12 @@ class _Stage:
                 for key in ("exp_avg", "exp_avg_sq"):
                     state[key] = torch.empty_like(parameter).copy_(state[key]).detach()
             self.motion_optimizer.load_state_dict(resume["motion_optimizer"])
+            if self.exposure_optimizer is not None:
+                self.exposure_optimizer.load_state_dict(resume["exposure_optimizer"])
         trainer, steps = self.trainer, self.config.steps
         trainer.avatar.train()
+        if self.number == 1 and start == 0 and steps and trainer.config.colors_from_footage:
+            start_from_footage(trainer)
         if self.held_out and "static_errors" not in trainer.verdicts:
             trainer.avatar.sample_at(trainer.built.surface(trainer.config.stage1.levels[-1].uv))
             trainer.verdicts["static_errors"] = view_errors(trainer, self.held_out, 1).tolist()
@@ -197,6 +220,8 @@ class _Stage:
             trainer.avatar.sample_at(trainer.built.surface(self.config.levels[-1].uv))
         if self.moves and trainer.config.motion.guard and start < steps:
             trainer.verdicts["frames_kept_as_estimated"] = refuse_worse_poses(trainer)
+        if self.number == 1 and trainer.config.fill_unseen and start < steps:
+            trainer.verdicts["unseen"] = fill_unseen(trainer)
         save_tensors(trainer.directory / self._judged(), self._avatar_state())
         self._save(steps)
 
@@ -230,9 +255,15 @@ class _Stage:
     def _save(self, step: int) -> None:
         trainer = self.trainer
         trainer.write_metrics(finished=False)
+        exposure = {}
+        if trainer.exposure is not None:
+            exposure["exposure"] = trainer.exposure.state_dict()
+        if self.exposure_optimizer is not None:
+            exposure["exposure_optimizer"] = self.exposure_optimizer.state_dict()
         save_tensors(
             trainer.directory / CHECKPOINT,
             self._avatar_state()
+            | exposure
             | {
                 "step": step,
                 "optimizer": self.optimizer.state_dict(),
@@ -271,11 +302,15 @@ class _Stage:
         total, values = trainer.losses(inputs)
         self.optimizer.zero_grad(set_to_none=True)
         self.motion_optimizer.zero_grad(set_to_none=True)
+        if self.exposure_optimizer is not None:
+            self.exposure_optimizer.zero_grad(set_to_none=True)
         total.backward()
         self.optimizer.step()
         options = config.motion
         if self.moves and options.start <= progress <= options.end:
             self.motion_optimizer.step(torch.tensor(sorted(set(frames)), device=trainer.device))
+        if self.exposure_optimizer is not None:
+            self.exposure_optimizer.step(torch.tensor(rows, device=trainer.device))
         if step % config.preview_every == 0 or step + 1 == self.config.steps:
             picture = side_by_side(as_image(inputs.target[0]), as_image(inputs.render[0]))
             write_image(trainer.directory / "previews" / f"stage{self.number}_{step:06d}.png", picture)
@@ -295,10 +330,12 @@ class _Stage:
             rendering = trainer.rasterize(gaussians, data.cameras[row], background.to(trainer.device))
             images.append(rendering.color.permute(2, 0, 1))
             alphas.append(rendering.alpha)
+        render, alpha = trainer.seen(rows, torch.stack(images), torch.stack(alphas), background), torch.stack(alphas)
+        target, render, mask, alpha = data.believed(rows, target, mask, render, alpha)
         return LossInputs(
-            render=torch.stack(images),
+            render=render,
             target=target,
-            alpha=torch.stack(alphas),
+            alpha=alpha,
             mask=mask,
             features=avatar.features if self.number == 1 else None,
             pose_features=pose_features,

@@ -36,9 +36,11 @@ def view_errors(trainer: Trainer, rows: list[int], stage: int, estimated: bool =
         attributes = static or avatar.attributes(avatar.encode(trainer.positional_maps([frame])))
         pose = (table.initial_rotations[[frame]], table.initial_trans[[frame]]) if estimated else table([frame])
         (gaussians,) = avatar.pose(attributes, *pose, table.expression([frame]))
-        render = trainer.rasterize(gaussians, data.cameras[row], background.to(trainer.device)).color
-        target, _ = data.batch([row], background, trainer.device)
-        errors.append(float((render.permute(2, 0, 1) - target[0]).square().mean()))
+        drawn = trainer.rasterize(gaussians, data.cameras[row], background.to(trainer.device))
+        alpha = drawn.alpha[None]
+        render = trainer.seen([row], drawn.color.permute(2, 0, 1)[None], alpha, background)
+        target, render, *_ = data.believed([row], *data.batch([row], background, trainer.device), render, alpha)
+        errors.append(float((render - target).square().mean()))
     avatar.train(training)
     return np.array(errors)
 
