@@ -29,7 +29,8 @@ def gathered(trainer: Trainer, rows: list[int], scale: float):
     for row in rows:
         at = trainer.frames.index(data.views[row].frame)
         with torch.no_grad():
-            (gaussians,) = avatar.pose(attributes, rotations[at : at + 1], trans[at : at + 1])
+            expression = trainer.motion.expression([data.views[row].frame])
+            (gaussians,) = avatar.pose(attributes, rotations[at : at + 1], trans[at : at + 1], expression)
         color, alpha = data.batch([row], black.cpu(), trainer.device)
         sums = []
         for image in (color[0].permute(1, 2, 0), alpha[0, ..., None].expand(-1, -1, 3)):
