@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..avatar import sample_uv
+from ..sampling import bilinear, sample_uv
 from .visibility import blending_weights
 
 if TYPE_CHECKING:
@@ -77,13 +77,12 @@ def fill_unseen(trainer: Trainer) -> dict[str, Any]:
 
 
 def _free_texels(avatar, seen: Tensor) -> Tensor:
-    """(1, 1, R, R) whether a texel of the features is read by no seen point: by the gradient of a sampling of it."""
-    probe = torch.zeros_like(avatar.features[:, :1]).requires_grad_()
-    sampled = sample_uv(probe, avatar.uv)[0, :, 0]
-    if not seen.any():
-        return torch.ones_like(probe, dtype=torch.bool)
-    (reads,) = torch.autograd.grad(sampled[seen].sum(), probe)
-    return reads == 0
+    """(R, R) whether a texel of the features is read by no seen point."""
+    size = avatar.features.shape[-1]
+    corner, weight = bilinear(avatar.surface.uv[seen.cpu().numpy()], size)
+    free = np.ones(size * size, bool)
+    free[corner[weight > 1e-6]] = False  # what rounding alone makes of a weight of zero
+    return torch.from_numpy(free.reshape(size, size)).to(avatar.features.device)
 
 
 def _fit(avatar, unseen: Tensor, free: Tensor, target: Tensor) -> None:
