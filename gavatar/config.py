@@ -49,15 +49,20 @@ class StageConfig:
 class MotionConfig:
     """How the body motion is optimised in stage 1. enabled: off gives the paper's baseline. lr: radians a step;
     lr_trans: metres a step. start, end: fractions of the stage between which it is optimised. joints: how many of the
-    first joints are corrected. guard: at the end of the stage, frames whose refined pose renders worse than the
-    estimated one get their estimate back."""
+    first joints are corrected. sharing: seconds over which neighbouring frames are corrected alike at the start (the
+    standard deviation of `gavatar.motion.shared_frames`; 0: each frame learns from its own images alone);
+    sharing_final: what it narrows to at the fraction sharing_end of the stage. guard: at the end of the stage, frames
+    whose refined pose renders worse than the estimated one get their estimate back."""
 
     enabled: bool = True
-    lr: float = 1.5e-2
-    lr_trans: float = 6e-3
+    lr: float = 1.0e-2
+    lr_trans: float = 4.0e-3
     start: float = 0.0
     end: float = 1.0
     joints: int = 22
+    sharing: float = 0.8
+    sharing_final: float = 0.0
+    sharing_end: float = 0.7
     guard: bool = True
 
 
@@ -142,9 +147,20 @@ def check(config: DictConfig) -> TrainConfig:
     if not 0 <= typed.mask_edge < math.inf:
         raise UserError(f"mask_edge must be a number of pixels, 0 or more, not {typed.mask_edge}")
     check_dynamics(typed.dynamics, typed.dynamics_gain)
-    if not 0 <= typed.motion.start <= typed.motion.end <= 1:
-        raise UserError("motion.start and motion.end must be fractions with 0 <= start <= end <= 1")
+    check_motion(typed.motion)
     return typed
+
+
+def check_motion(motion: MotionConfig) -> None:
+    """UserError naming the field unless every number is possible."""
+    for field in ("lr", "lr_trans", "sharing", "sharing_final", "sharing_end"):
+        value = getattr(motion, field)
+        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        if not number or value < 0 or (field == "sharing_end" and value > 1):
+            kind = "a fraction of the stage" if field == "sharing_end" else "a number of at least 0"
+            raise UserError(f"motion.{field} must be {kind}, not {value!r}")
+    if not 0 <= motion.start <= motion.end <= 1:
+        raise UserError("motion.start and motion.end must be fractions with 0 <= start <= end <= 1")
 
 
 def _check_stage(name: str, stage: StageConfig) -> None:

@@ -61,6 +61,32 @@ class MotionTable(nn.Module):
         return Motion(poses, trans.cpu().numpy(), self.fps, self.betas, name, expression=expression)
 
 
+def shared_frames(times: Tensor, shown: Tensor, width: float) -> tuple[Tensor, Tensor]:
+    """The frames that a step on some of them moves, and the kernel by which they take part.
+
+    The errors of pose estimators are alike in neighbouring frames, so what an image says of its own frame it says,
+    less and less, of those around it: the gradient is smoothed over time by a Gaussian (a Sobolev gradient), every
+    frame learns many times an epoch, and noise averages out. Where nothing is shown nothing is moved.
+
+    times: (T,) seconds, in any order. shown: (B,) indices into them, distinct. width: standard deviation in seconds; 0
+    moves the shown frames alone. Returns (R,) indices of the frames within two widths of a shown one, the shown ones
+    among them, and the (R, R) kernel for `RowAdam.step`: columns of frames that were not shown are zero. ValueError
+    when nothing is shown.
+    """
+    if len(shown) == 0:
+        raise ValueError("shared_frames: at least one frame must be shown")
+    if not width > 0:
+        return shown, torch.eye(len(shown), device=times.device)
+    rows = ((times[:, None] - times[shown]).abs().amin(1) <= 2 * width).nonzero().flatten()
+    near = torch.exp(-0.5 * ((times[rows, None] - times[rows]) / width) ** 2)
+    return rows, near * torch.isin(rows, shown)
+
+
+def scale_gradient(values: Tensor, factor: float) -> Tensor:
+    """`values` unchanged, their gradient multiplied by `factor`."""
+    return values.detach() + factor * (values - values.detach())
+
+
 class RowAdam(torch.optim.Optimizer):
     """Adam that touches only the given rows of its parameters, each with its own step count.
 
@@ -73,8 +99,9 @@ class RowAdam(torch.optim.Optimizer):
         super().__init__(parameters, {"lr": lr, "betas": betas, "eps": eps})
 
     @torch.no_grad()
-    def step(self, rows: Tensor) -> None:  # type: ignore[override]
-        """rows: (B,) int64 distinct rows to update."""
+    def step(self, rows: Tensor, kernel: Tensor | None = None) -> None:  # type: ignore[override]
+        """rows: (B,) int64 distinct rows to update. kernel: (B, B) mixes the gradients of those rows before the step,
+        row i receives the sum over k of kernel[i, k] times the gradient of row k; None leaves each its own."""
         for group in self.param_groups:
             beta1, beta2 = group["betas"]
             for p in group["params"]:
@@ -85,6 +112,8 @@ class RowAdam(torch.optim.Optimizer):
                     state["count"] = torch.zeros(len(p), dtype=p.dtype, device=p.device)
                     state["first"], state["second"] = torch.zeros_like(p), torch.zeros_like(p)
                 g = p.grad[rows]
+                if kernel is not None:
+                    g = (kernel.to(g.dtype) @ g.flatten(1)).view_as(g)
                 state["count"][rows] += 1
                 count = state["count"][rows].view(-1, *[1] * (p.dim() - 1))
                 first = state["first"][rows].lerp(g, 1 - beta1)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import torch
 
-from ..config import LevelConfig, StageConfig
+from ..config import LevelConfig, MotionConfig, StageConfig
 
 
 def level_at(stage: StageConfig, step: int) -> LevelConfig:
@@ -20,6 +20,12 @@ def lr_factor(stage: StageConfig, step: int) -> float:
     """Cosine from 1 to `lr_final` over the stage."""
     fraction = step / max(1, stage.steps - 1)
     return stage.lr_final + (1 - stage.lr_final) * 0.5 * (1 + math.cos(math.pi * min(1.0, fraction)))
+
+
+def sharing_width(motion: MotionConfig, progress: float) -> float:
+    """Seconds over which frames share their corrections' gradient: linear from `sharing` to `sharing_final`."""
+    share = min(1.0, progress / motion.sharing_end) if motion.sharing_end > 0 else 1.0
+    return motion.sharing + (motion.sharing_final - motion.sharing) * share
 
 
 def batch_rows(seed: int, count: int, batch: int, step: int) -> list[int]:

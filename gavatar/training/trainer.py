@@ -21,13 +21,13 @@ from ..capture import View
 from ..config import StageConfig, TrainConfig
 from ..files import load_tensors, save_tensors, write_image, write_json, write_motion
 from ..losses import LossComposer, LossInputs, MotionState
-from ..motion import MotionTable, RowAdam
+from ..motion import MotionTable, RowAdam, scale_gradient, shared_frames
 from .data import Footage, footage, load_full
 from .exposure import RATE as EXPOSURE_RATE
 from .exposure import Exposure
 from .memory import keep_freed_memory
 from .preview import as_image, side_by_side
-from .stage import background_at, batch_rows, level_at, lr_factor
+from .stage import background_at, batch_rows, level_at, lr_factor, sharing_width
 from .start import start_from_footage
 from .unseen import fill_unseen
 from .verdict import dynamics_verdict, held_out_rows, refuse_worse_poses, view_errors
@@ -308,13 +308,20 @@ class _Stage:
         self.optimizer.step()
         options = config.motion
         if self.moves and options.start <= progress <= options.end:
-            self.motion_optimizer.step(torch.tensor(sorted(set(frames)), device=trainer.device))
+            self._step_motion(sorted(set(frames)), progress)
         if self.exposure_optimizer is not None:
             self.exposure_optimizer.step(torch.tensor(rows, device=trainer.device))
         if step % config.preview_every == 0 or step + 1 == self.config.steps:
             picture = side_by_side(as_image(inputs.target[0]), as_image(inputs.render[0]))
             write_image(trainer.directory / "previews" / f"stage{self.number}_{step:06d}.png", picture)
         return {"total": float(total.detach()), **values}
+
+    def _step_motion(self, shown: list[int], progress: float) -> None:
+        trainer, options = self.trainer, self.trainer.config.motion
+        frames = torch.tensor(trainer.frames, device=trainer.device)
+        at = torch.tensor([trainer._frame_row[frame] for frame in shown], device=trainer.device)
+        rows, kernel = shared_frames(frames / trainer.motion.fps, at, sharing_width(options, progress))
+        self.motion_optimizer.step(frames[rows], kernel)
 
     def _render(self, rows, frames, data: Footage, background, target, mask, progress: float) -> LossInputs:
         trainer, avatar = self.trainer, self.trainer.avatar
@@ -342,17 +349,21 @@ class _Stage:
             offsets=attributes.offsets,
             scales=attributes.scales,
             progress=progress,
-            motion=self._motion_state(all_rotations, all_trans),
+            motion=self._motion_state(all_rotations, all_trans, len(set(frames))),
         )
 
-    def _motion_state(self, rotations: Tensor, trans: Tensor) -> MotionState | None:
+    def _motion_state(self, rotations: Tensor, trans: Tensor, shown: int) -> MotionState | None:
+        """The motion of every training frame for the losses. Only `shown` frames learn from a step: as they share the
+        image terms among themselves, so they do the motion terms, or their weight would hang on the capture's length
+        and, with it, on its frame rate."""
         if not self.moves:
             return None
         table, frames = self.trainer.motion, self.trainer.frames
+        share = len(frames) / shown
         return MotionState(
-            rotations=rotations,
+            rotations=scale_gradient(rotations, share),
             rotations_initial=table.initial_rotations[frames],
-            trans=trans,
+            trans=scale_gradient(trans, share),
             trans_initial=table.initial_trans[frames],
             frame_times=torch.tensor(frames, device=trans.device, dtype=trans.dtype) / table.fps,
         )
