@@ -93,6 +93,7 @@ def observe(cameras: list[Camera], landmarks: list[Landmarks], fps: float) -> Ob
     """Bring the landmarks of all cameras together, flips undone, directions turned into the world."""
     image, visibility, world, weight = [], [], [], []
     for camera, marks in zip(cameras, landmarks, strict=True):
+        marks = dataclasses.replace(marks, world=np.einsum("tab,tkb->tka", rays(camera, marks), marks.world))
         seen = marks.visibility[:, _TORSO].min(1) > 0.1
         flipped, swapped = unflip(marks.world, seen, fps)
         order = np.where(swapped[:, None], MIRROR, np.arange(33))
@@ -102,6 +103,18 @@ def observe(cameras: list[Camera], landmarks: list[Landmarks], fps: float) -> Ob
         world.append(points @ camera.T_camera_world[:3, :3])
         weight.append(1.0 - flipped)
     return Observations(*(np.stack(v) for v in (image, visibility, world, weight)))
+
+
+def rays(camera: Camera, marks: Landmarks) -> np.ndarray:
+    """(T, 3, 3) the rotation that brings the camera's axis onto the ray to the hips: a landmark network sees a crop
+    around the person and takes its middle for straight ahead. Identity where the hips were not seen."""
+    hips = [INDEX["left_hip"], INDEX["right_hip"]]
+    middle = (marks.image[:, hips].mean(1) - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    x, y = np.where((marks.visibility[:, hips] > 0).all(1)[:, None], middle, 0).T
+    ray = np.stack([x, y, np.ones_like(x)], -1) / np.sqrt(1 + x**2 + y**2)[:, None]
+    zero = np.zeros_like(x)
+    turn = np.stack([zero, zero, ray[:, 0], zero, zero, ray[:, 1], -ray[:, 0], -ray[:, 1], zero], -1).reshape(-1, 3, 3)
+    return np.eye(3) + turn + turn @ turn / (1 + ray[:, 2])[:, None, None]  # Rodrigues' formula of axis x ray
 
 
 def triangulate(cameras: list[Camera], seen: Observations) -> tuple[np.ndarray, np.ndarray]:
