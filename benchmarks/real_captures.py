@@ -12,7 +12,7 @@ dynamics, sized for two CPU cores), and these are measured:
   held out   PSNR and SSIM of the held-out camera's pictures (without --holdout: of every tenth frame, poses fitted to
              it with the avatar frozen), whole frame on white, and inside the mask's bounding box
   trained    the same of the training views
-  holes      share of the mask's inside, eroded, where the avatar lets more than a tenth of the background through
+  see_through  share of the mask's inside, eroded, where the avatar lets more than a tenth of the background through
 
 --given takes the footage's own landmarks and masks for the capture instead of finding them.
 """
@@ -92,25 +92,32 @@ def score(run: Run, evaluator: Evaluator, views: list[View], motion: Motion) -> 
         rows.append((float(psnr(*pair)), float(ssim(*pair)), float(masked(psnr, *pair, mask)),
                      float(masked(ssim, *pair, mask)), holes(opacity(run, view, motion), alpha > 0.5)))  # fmt: skip
     table = np.array(rows)
-    return {"views": len(views), "psnr": round(mean_psnr(table[:, 0]), 2), "ssim": round(table[:, 1].mean(), 4),
-            "psnr_in_box": round(mean_psnr(table[:, 2]), 2), "worst_in_box": round(table[:, 2].min(), 2),
-            "ssim_in_box": round(table[:, 3].mean(), 4), "see_through": round(table[:, 4].mean(), 5)}  # fmt: skip
+    ssim_whole, ssim_in_box, holes_share = (round(float(table[:, k].mean()), 4) for k in (1, 3, 4))
+    return {"views": len(views), "psnr": round(mean_psnr(table[:, 0]), 2), "ssim": ssim_whole,
+            "psnr_in_box": round(mean_psnr(table[:, 2]), 2), "worst_in_box": round(float(table[:, 2].min()), 2),
+            "ssim_in_box": ssim_in_box, "see_through": holes_share}  # fmt: skip
 
 
 def figure(path: Path, run: Run, evaluator: Evaluator, views: list[View], motion: Motion, columns: int = 5) -> None:
-    """Footage, avatar and their difference of a few views, one below the other, cropped to where the person is."""
+    """Footage, avatar, their difference three times enlarged, and the avatar on green, where what is see-through shows:
+    a few views, each cropped around the person."""
     chosen = [views[i] for i in np.linspace(0, len(views) - 1, min(columns, len(views))).astype(int)]
     loaded = [run.capture.load(view) for view in chosen]
-    x, y, w, h = cv2.boundingRect(np.maximum.reduce([(alpha > 0.5).astype(np.uint8) for _, alpha in loaded]))
-    box = slice(max(0, y - 8), y + h + 8), slice(max(0, x - 8), x + w + 8)
+    boxes = [cv2.boundingRect((alpha > 0.5).astype(np.uint8)) for _, alpha in loaded]
+    w, h = (max(box[k] for box in boxes) + 16 for k in (2, 3))
     stacks = []
-    for view, (color, alpha) in zip(chosen, loaded, strict=True):
+    for view, (color, alpha), (x, y, bw, bh) in zip(chosen, loaded, boxes, strict=True):
         target = color + (1 - alpha[..., None])
-        image = np.clip(evaluator.render(view, motion), 0, 1)
+        image, through = np.clip(evaluator.render(view, motion), 0, 1), 1 - opacity(run, view, motion)[..., None]
         error = np.repeat(1 - np.clip(3 * np.abs(image - target).mean(-1, keepdims=True), 0, 1), 3, -1)
-        stacks.append(np.vstack([i[box] for i in (target, image, error)]))
+        on_green = np.clip(image - through * (1, 0, 1), 0, 1)
+        crop = np.float32([[1, 0, (w - bw) // 2 - x], [0, 1, (h - bh) // 2 - y]])
+        stacks.append(np.vstack([
+            cv2.warpAffine(np.float32(i), crop, (w, h), borderValue=edge)
+            for i, edge in ((target, (1, 1, 1)), (image, (1, 1, 1)), (error, (1, 1, 1)), (on_green, (0, 1, 0)))
+        ]))  # fmt: skip
     picture = np.round(255 * np.clip(np.hstack(stacks), 0, 1)).astype(np.uint8)[..., ::-1]
-    cv2.imwrite(str(path), picture, [cv2.IMWRITE_JPEG_QUALITY, 88])
+    cv2.imwrite(str(path), picture, [cv2.IMWRITE_JPEG_QUALITY, 88] if path.suffix in (".jpg", ".jpeg") else [])
 
 
 def body_coverage(capture: Path, scores: np.ndarray, names: list[str]) -> dict:
@@ -157,7 +164,7 @@ def main() -> None:
     if given is not None and source is not given:
         result["masks"] = mask_agreement(source, given)
     found = time.perf_counter()
-    facts = CaptureFacts(options.footage.stem, "unknown", "", "free", options.holdout)
+    facts = CaptureFacts(options.footage.stem, holdout_camera=options.holdout)
     known = source.footage[0].lens is not None
     quality = prepare(source, BODIES.build("free").data, out / "capture", facts, overwrite=True, progress=False,
                       options=FitOptions(refine_cameras=known and len(source.footage) > 1))  # fmt: skip
@@ -178,6 +185,7 @@ def main() -> None:
         result["trained"] = score(run, evaluator, read_capture(out / "capture").views("train")[::5], motion)
         result["seconds"] = {"finding": round(found - start, 1), "fit_and_write": round(prepared - found, 1),
                              "stage1": round(trained - prepared, 1)}  # fmt: skip
+        print(json.dumps(result, indent=1), flush=True)
         if options.figure:
             figure(options.figure, run, evaluator, views, fitted)
     print(json.dumps(result, indent=1))

@@ -25,6 +25,7 @@ from .landmarks import BONES, MIRROR, OFFSET_SIGMA, Landmarks
 from .rig import FitRig, Posed
 from .silhouette import Silhouettes, nearest_to_outline, outline_gap, outside_distance
 
+FEET, SHOULDERS = [7, 8, 10, 11], [16, 17]  # ankles and feet; of the 22 joints that the SMPL family shares
 NEAREST_EVERY = 5  # steps between two searches for the point nearest to the outline, the dearest part of a step
 
 
@@ -45,6 +46,8 @@ class FitOptions:
     bone_sigma: float = 0.35  # radians; depth from one view is rough
     inside_sigma: float = 0.015  # metres
     reach_sigma: float = 0.025  # metres; loose: clothes and hair are not body
+    balance_sigma: float = 0.1  # metres
+    tilt_sigma: float = 0.1  # radians
     trans_acceleration: float = 8.0  # metres / s^2
     angular_acceleration: float = 120.0  # radians / s^2
     # The pose stage begins with the directions of bones, which say whether a limb points to or from the camera, and
@@ -55,7 +58,7 @@ class FitOptions:
     weights: dict = dataclasses.field(
         default_factory=lambda: {
             "image": 1.0, "bones": 0.5, "inside": 1.0, "reach": 10.0, "pose": 0.05, "betas": 0.005, "offset": 0.02,
-            "smooth": 0.1, "stature": 1.0, "camera": 0.01,
+            "smooth": 0.3, "stature": 1.0, "camera": 0.01, "balance": 0.2, "tilt": 0.003,
         }
     )  # fmt: skip
 
@@ -66,7 +69,8 @@ class Fit:
 
     poses: (T, J, 3) axis-angle in [0, pi], fingers zero. trans: (T, 3) metres. betas: (B,). image_error: (C, T, 33)
     pixels between landmarks and their points on the body, NaN where not seen. shift: (C, 2) pixels by which the
-    cameras' principal points moved, zero unless they were to be refined. losses: last value of each term.
+    cameras' principal points moved, zero unless they were to be refined. up: (3,) unit vector against gravity, as the
+    person's balance has it. losses: last value of each term.
     """
 
     poses: np.ndarray
@@ -74,6 +78,7 @@ class Fit:
     betas: np.ndarray
     image_error: np.ndarray
     shift: np.ndarray
+    up: np.ndarray
     losses: dict[str, float]
 
 
@@ -128,6 +133,7 @@ class BodyFitter:
         self.betas = torch.zeros(self.rig.num_betas, requires_grad=True)
         self.offsets = torch.zeros(33, 3, requires_grad=True)
         self.shift = torch.zeros(len(self.cameras), 2, requires_grad=self.options.refine_cameras)
+        self.tilt = torch.zeros(2, requires_grad=True)
         self.offset_sigma = _tensor(OFFSET_SIGMA)[:, None]
 
     def _observations(self, seen: Observations) -> None:
@@ -183,12 +189,26 @@ class BodyFitter:
             "betas": self.betas.square().sum(), "offset": (self.mirrored_offsets() / self.offset_sigma).square().sum(),
             "smooth": self._smoothness(body),
         }  # fmt: skip
+        if stage > 0:
+            terms["balance"] = huber(self._lean(body).square().sum(-1).add(1e-12).sqrt(), options.balance_sigma).mean()
+            terms["tilt"] = (self.tilt / options.tilt_sigma).square().sum()
         if options.refine_cameras:
             sides = _tensor([[max(c.width, c.height)] for c in self.cameras])
             terms["camera"] = (self.shift / (0.01 * sides)).square().sum()  # one per cent of the image's side
         if options.stature is not None:
             terms["stature"] = ((self.rig.stature(self.betas) - options.stature) / 0.01) ** 2
         return terms
+
+    def up(self) -> Tensor:
+        """(3,) unit vector against gravity: the world's y, but for the tilt that is fitted."""
+        return torch.nn.functional.normalize(torch.stack([self.tilt[0], torch.ones(()), self.tilt[1]]), dim=0)
+
+    def _lean(self, body: Posed) -> Tensor:
+        """(T, 3) metres, level: how far the trunk stands beside the middle of the feet. People seldom stand so that
+        they would fall, which one camera cannot see when they lean towards it. Held loosely: walking is falling."""
+        trunk = 0.5 * (body.joints[:, 0] + body.joints[:, SHOULDERS].mean(1))
+        lean, up = trunk - body.joints[:, FEET].mean(1), self.up()
+        return lean - (lean @ up)[:, None] * up
 
     def _silhouette_terms(self, c: int, surface: Tensor) -> tuple[Tensor, Tensor]:
         silhouettes, options = self.silhouettes[c], self.options
@@ -218,12 +238,12 @@ class BodyFitter:
         """Optimise in three stages and return the result."""
         stages = (
             ("place", [self.turn, self.trans, self.betas]),
-            ("pose", [self.turn, self.trans, self.betas, self.poses, self.offsets]),
-            ("silhouette", [self.turn, self.trans, self.betas, self.poses, self.offsets]),
+            ("pose", [self.turn, self.trans, self.betas, self.poses, self.offsets, self.tilt]),
+            ("silhouette", [self.turn, self.trans, self.betas, self.poses, self.offsets, self.tilt]),
         )
         side = max(self.cameras[0].width, self.cameras[0].height)
         rates = {self.turn: 0.02, self.trans: 0.02, self.betas: 0.03, self.poses: 0.03, self.offsets: 0.002,
-                 self.shift: 0.0005 * side}  # fmt: skip
+                 self.shift: 0.0005 * side, self.tilt: 0.005}  # fmt: skip
         if self.options.refine_cameras:
             stages[1][1].append(self.shift)
             stages[2][1].append(self.shift)
@@ -270,9 +290,9 @@ class BodyFitter:
         for c in range(len(self.cameras)):
             miss = (self.project(c, body.landmarks)[0] - self.image[c]).norm(dim=-1)
             error.append(torch.where(self.visibility[c] > 0, miss, torch.nan).numpy())
-        return Fit(
-            poses, self.trans.double().numpy(), self.betas.double().numpy(), np.stack(error), self.shift.numpy(), losses
-        )
+        trans, betas, up = (value.double().numpy() for value in (self.trans, self.betas, self.up()))
+        up /= np.linalg.norm(up)  # it was of unit length in float32
+        return Fit(poses, trans, betas, np.stack(error), self.shift.numpy(), up, losses)
 
 
 def _mean(values: Tensor, weight: Tensor) -> Tensor:

@@ -105,6 +105,14 @@ def observe(cameras: list[Camera], landmarks: list[Landmarks], fps: float) -> Ob
     return Observations(*(np.stack(v) for v in (image, visibility, world, weight)))
 
 
+def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) the least rotation that brings unit vectors a to b, (..., 3) each, at less than a right angle."""
+    x, y, z = np.moveaxis(np.cross(a, b), -1, 0)
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*x.shape, 3, 3)
+    return np.eye(3) + cross + cross @ cross / (1 + np.sum(a * b, -1))[..., None, None]  # Rodrigues' formula
+
+
 def rays(camera: Camera, marks: Landmarks) -> np.ndarray:
     """(T, 3, 3) the rotation that brings the camera's axis onto the ray to the hips: a landmark network sees a crop
     around the person and takes its middle for straight ahead. Identity where the hips were not seen."""
@@ -112,9 +120,7 @@ def rays(camera: Camera, marks: Landmarks) -> np.ndarray:
     middle = (marks.image[:, hips].mean(1) - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
     x, y = np.where((marks.visibility[:, hips] > 0).all(1)[:, None], middle, 0).T
     ray = np.stack([x, y, np.ones_like(x)], -1) / np.sqrt(1 + x**2 + y**2)[:, None]
-    zero = np.zeros_like(x)
-    turn = np.stack([zero, zero, ray[:, 0], zero, zero, ray[:, 1], -ray[:, 0], -ray[:, 1], zero], -1).reshape(-1, 3, 3)
-    return np.eye(3) + turn + turn @ turn / (1 + ray[:, 2])[:, None, None]  # Rodrigues' formula of axis x ray
+    return rotation_between(np.array([0.0, 0.0, 1.0]), ray)
 
 
 def triangulate(cameras: list[Camera], seen: Observations) -> tuple[np.ndarray, np.ndarray]:

@@ -11,9 +11,10 @@ from gavatar.body import BodyData
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motion import Motion
+from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 
 from .fit import BodyFitter, Fit, FitOptions
-from .initial import DEFAULT_FOV, guess_camera
+from .initial import DEFAULT_FOV, guess_camera, rotation_between
 from .silhouette import prepare_silhouettes
 from .source import Source
 from .write import CaptureFacts, write_capture
@@ -74,7 +75,13 @@ def prepare(
 
 
 def settle(data: BodyData, fit: Fit, cameras: list[Camera]) -> tuple[Fit, list[Camera]]:
-    """Move the world so that the person stands around its origin on the floor y = 0. Nothing changes in the images."""
+    """Turn the world until the fit's `up` is its y, and move it so that the person stands around its origin on the
+    floor y = 0. Nothing changes in the images."""
+    upright = rotation_between(fit.up, np.array([0.0, 1.0, 0.0]))
+    pelvis = data.shaped(fit.betas)[1][0]  # poses turn about it, not about the body's origin
+    poses = fit.poses.copy()
+    poses[:, 0] = axis_angle_from_matrix(upright @ matrix_from_axis_angle(fit.poses[:, 0]))
+    fit = dataclasses.replace(fit, poses=poses, trans=(fit.trans + pelvis) @ upright.T - pelvis, up=upright @ fit.up)
     lowest, middle = [], []
     for poses, trans in zip(fit.poses, fit.trans, strict=True):
         vertices, joints = data.posed(poses, fit.betas, trans)
@@ -85,6 +92,7 @@ def settle(data: BodyData, fit: Fit, cameras: list[Camera]) -> tuple[Fit, list[C
     moved = []
     for camera in cameras:
         T = camera.T_camera_world.copy()
+        T[:3, :3] = T[:3, :3] @ upright.T
         T[:3, 3] -= T[:3, :3] @ shift
         moved.append(dataclasses.replace(camera, T_camera_world=T))
     return dataclasses.replace(fit, trans=fit.trans + shift), moved

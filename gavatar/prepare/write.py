@@ -36,8 +36,8 @@ class CaptureFacts:
     license: str = "unknown"
     source: str = ""
     body_model: str = "free"
-    gender: str = "neutral"
     holdout_camera: str | None = None
+    gender: str = "neutral"
 
 
 @contextlib.contextmanager
