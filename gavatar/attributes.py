@@ -28,7 +28,8 @@ class Decoder(Protocol):
 
     `forward(features (P, C), uv (P, 2), spacing (P,)) -> Attributes` of P points. `spacing` is the distance in metres
     between neighbouring points, the natural unit of a Gaussian's scale. Everything must be exportable to ONNX. An
-    optional `on_step(step)` is called before each training step of stage 1.
+    optional `on_step(step)` is called before each training step of stage 1. `mixed_precision = True` says that it may
+    be trained under autocast to bfloat16 and gives float32 even then.
     """
 
     def __call__(self, features: Tensor, uv: Tensor, spacing: Tensor) -> Attributes: ...

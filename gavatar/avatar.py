@@ -53,6 +53,7 @@ class Avatar(nn.Module):
             convs = (nn.Conv2d(config.features, config.features, 5, padding=2, bias=False) for _ in range(3))
             self.smooth = nn.Sequential(*convs)
         self.surface: Surface | None = None
+        self.mixed_precision = False  # decode in bfloat16 while training
         self._expressions: dict[int, tuple[Surface, Expression | None]] = {}  # by the surface's id
 
     def sample_at(self, surface: Surface) -> None:
@@ -82,7 +83,9 @@ class Avatar(nn.Module):
         else:
             features = self._sample(maps, self.uv)
         B, N, C = features.shape
-        out = self.decoder(features.reshape(B * N, C), self.uv.repeat(B, 1), self.spacing.repeat(B))
+        # what is evaluated and exported is float32
+        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.mixed_precision and self.training):
+            out = self.decoder(features.reshape(B * N, C), self.uv.repeat(B, 1), self.spacing.repeat(B))
         rotations = None if out.rotations is None else out.rotations.view(B, N, 4)
         scales = out.scales.view(B, N, *out.scales.shape[1:])
         return Attributes(out.offsets.view(B, N, 3), out.colors.view(B, N, 3), scales, rotations)

@@ -16,6 +16,7 @@ from gavatar_runtime.errors import UserError
 
 from .avatar import AvatarConfig
 from .losses import loss_config
+from .precision import check_precision
 from .registry import BODIES, DECODERS, ENCODERS, RASTERIZERS, fill_config_store, load_plugins
 from .training.verdict import check_dynamics
 
@@ -70,6 +71,7 @@ class MotionConfig:
 class TrainConfig:
     """Everything a run needs. capture: directory. out: run directory. background: `random` colour each step, `white`
     or `black`. crop: render only the window in which the person moves. preview_every, checkpoint_every: steps.
+    precision: of the decoder's products while training, `float32`, `bfloat16` or `auto`, the faster one here.
     overwrite: start afresh even if `out` holds another run. mask_edge: pixels inside the border of every mask that no
     loss looks at, against the rim that masks cut too wide leave. exposure: learn a gain for every training view, where
     the footage's brightness drifts. colors_from_footage: begin with colours taken from the images instead of grey.
@@ -82,6 +84,7 @@ class TrainConfig:
     seed: int = 0
     device: str = "auto"
     threads: int = 0
+    precision: str = "float32"
     overwrite: bool = False
     background: str = "random"
     crop: bool = True
@@ -146,6 +149,7 @@ def check(config: DictConfig) -> TrainConfig:
         raise UserError(f"background must be random, white or black, not '{typed.background}'")
     if not 0 <= typed.mask_edge < math.inf:
         raise UserError(f"mask_edge must be a number of pixels, 0 or more, not {typed.mask_edge}")
+    check_precision(typed.precision)
     check_dynamics(typed.dynamics, typed.dynamics_gain)
     check_motion(typed.motion)
     return typed

@@ -22,6 +22,7 @@ from ..config import StageConfig, TrainConfig
 from ..files import load_tensors, save_tensors, write_image, write_json, write_motion
 from ..losses import LossComposer, LossInputs, MotionState
 from ..motion import MotionTable, RowAdam, scale_gradient, shared_frames
+from ..precision import mixed
 from .data import Footage, footage, load_full
 from .exposure import RATE as EXPOSURE_RATE
 from .exposure import Exposure
@@ -62,6 +63,7 @@ class Trainer:
         )
         self.capture = capture_on_body(self.capture, self.built.body.data)
         self.avatar = self.built.avatar.to(self.device)
+        self.avatar.mixed_precision = mixed(config.precision, self.avatar.decoder, self.device)
         self.motion = MotionTable(
             self.capture.motion, self.built.body.data.num_joints, config.motion.joints
         ).to(self.device)  # fmt: skip

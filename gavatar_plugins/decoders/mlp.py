@@ -39,6 +39,8 @@ class MlpDecoder(nn.Module):
     `scale_floor` and `scale_limit` times the spacing: bounded by construction, so that no pose can make the avatar
     explode, and independent of the UV resolution it was trained at."""
 
+    mixed_precision = True
+
     def __init__(self, config: MlpConfig, *, in_channels: int):
         super().__init__()
         self.config = config
@@ -84,14 +86,23 @@ class MlpDecoder(nn.Module):
                 x = torch.cat([x, features], -1)
             x = torch.relu(layer(x))
         limit, floor = self.config.offset_limit, self.config.scale_floor
-        share, unit, rotations = torch.sigmoid(self.heads["scale"](x)), spacing[..., None], None
+        share, unit, rotations = torch.sigmoid(self._head("scale", x)), spacing[..., None], None
         if self.config.anisotropic:
-            rotations = F.normalize(self.heads["rotation"](x), dim=-1)
+            rotations = F.normalize(self._head("rotation", x), dim=-1)
         else:
             share, unit = share[..., 0], spacing
         return Attributes(
-            offsets=limit * torch.tanh(self.heads["offset"](x) / limit),
-            colors=torch.sigmoid(self.heads["color"](x)),
+            offsets=limit * torch.tanh(self._head("offset", x) / limit),
+            colors=torch.sigmoid(self._head("color", x)),
             scales=unit * (floor + (self.config.scale_limit - floor) * share),
             rotations=rotations,
         )
+
+    def _head(self, name: str, x: Tensor) -> Tensor:
+        """A head's output in float32, also where products are in bfloat16: a colour has more than 256 values."""
+        hidden, activation, last = self.heads[name]
+        h = activation(hidden(x))
+        if not torch.is_autocast_enabled(x.device.type):
+            return last(h)
+        with torch.autocast(x.device.type, enabled=False):
+            return last(h.float())

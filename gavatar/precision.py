@@ -1,0 +1,36 @@
+"""In what precision the decoder is trained: most of a step's arithmetic is its matrix products."""
+
+from __future__ import annotations
+
+import torch
+
+from gavatar_runtime.errors import UserError
+
+PRECISIONS = ("auto", "float32", "bfloat16")
+
+
+def check_precision(precision: str) -> None:
+    """UserError unless `precision` is one of the choices."""
+    if precision not in PRECISIONS:
+        raise UserError(f"precision must be {', '.join(PRECISIONS[:-1])} or {PRECISIONS[-1]}, not '{precision}'")
+
+
+def mixed(precision: str, decoder: torch.nn.Module, device: torch.device) -> bool:
+    """Whether the decoder is to be trained in bfloat16: asked for, or `auto` where the processor multiplies it natively
+    and the decoder says that it keeps its outputs in float32 (`mixed_precision = True`).
+
+    Raises UserError when it is asked for of a decoder that does not."""
+    able = getattr(decoder, "mixed_precision", False)
+    if precision == "bfloat16" and not able:
+        raise UserError(f"precision=bfloat16: decoder {type(decoder).__name__} trains in float32 only")
+    return precision == "bfloat16" or (precision == "auto" and able and multiplies_bfloat16(device))
+
+
+def multiplies_bfloat16(device: torch.device) -> bool:
+    """Whether matrix products in bfloat16 are native there; where they are emulated they are the slower ones."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_capability(device) >= (8, 0)
+    if device.type != "cpu" or not torch.backends.mkldnn.is_available():
+        return False
+    able = getattr(torch.cpu, "get_capabilities", dict)()
+    return bool(able.get("avx512_bf16") or able.get("amx_bf16"))
