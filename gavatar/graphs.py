@@ -21,7 +21,8 @@ from .sampling import bilinear, sample_uv
 
 OPSET = 18
 OUTPUTS = ("offsets", "colors", "scales")
-CHUNK = 4096  # rows: the widest activations of a chunk (4 MB) stay in the caches; 2048 to 8192 measured alike
+CHUNK = 2048  # rows: the widest activations of a chunk (2 MB) stay in the caches; 2048 to 8192 measured alike
+ROWS = "rows"  # the optional input that names the wanted rows
 
 
 def fold_batchnorm(module: nn.Module) -> nn.Module:
@@ -134,6 +135,8 @@ def encoder_model(avatar: Avatar, *, shuffle: bool = False) -> onnx.ModelProto:
 def decoder_model(avatar: Avatar, surface: Surface | None = None, quantize=None) -> onnx.ModelProto:
     """pose_features -> offsets (N, 3), colors (N, 3), scales (N,) on the points of `surface` (None for the avatar's);
     without input for a static avatar, whose decoder does not depend on the pose and is evaluated here once and for all.
+    A second input, `rows` (M,) int32, may be given: then only those points are decoded, in its order, and N is M. (It
+    is an initializer that may be overridden, so that a caller who does not know of it gets them all.)
 
     quantize: a function (rows, scanned, features) -> rows, or None. rows: the model of one chunk, whose inputs are
     `texels` and one row of each array in `scanned`; features (1, C, M, M) are added to the pose features, or None.
@@ -144,9 +147,7 @@ def decoder_model(avatar: Avatar, surface: Surface | None = None, quantize=None)
             attributes = attributes_at(avatar, surface)
         return constant_model({name: getattr(attributes, name)[0].numpy() for name in OUTPUTS})
     size, channels = avatar.encoder.map_size, avatar.config.features
-    count = len(surface)
-    chunk = min(CHUNK, count)
-    chunks = -(-count // chunk)
+    chunk = min(CHUNK, len(surface))
     features = avatar.smooth(avatar.features).detach()
     add_first = features.shape[-1] == size
     corner, weight = bilinear(surface.uv, size)
@@ -154,15 +155,14 @@ def decoder_model(avatar: Avatar, surface: Surface | None = None, quantize=None)
     if not add_first:
         with torch.no_grad():
             scanned["constant"] = sample_uv(features, torch.from_numpy(np.asarray(surface.uv, np.float32)))[0].numpy()
-    scanned = {name: _padded(values, chunks, chunk) for name, values in scanned.items()}
-    example = (torch.zeros(size * size, channels), *(torch.from_numpy(x[0]) for x in scanned.values()))
+    example = (torch.zeros(size * size, channels), *(torch.from_numpy(x[:chunk]) for x in scanned.values()))
     rows = to_onnx(RowDecoder(avatar, not add_first).eval(), example, ["texels", *scanned], list(OUTPUTS))
     if quantize is not None:
         inputs = {i.name for i in rows.graph.input}
-        scanned = {name: values for name, values in scanned.items() if name in inputs}
-        rows = quantize(rows, scanned, features.numpy() if add_first else None)
+        chunked = {name: _padded(values, chunk) for name, values in scanned.items() if name in inputs}
+        rows = quantize(rows, chunked, features.numpy() if add_first else None)
     constants = {"features": features.numpy()} if add_first else {}
-    return _scan_model(rows, scanned, constants, (1, channels, size, size), count)
+    return _scan_model(rows, scanned, constants, (1, channels, size, size), chunk)
 
 
 def attributes_at(avatar: Avatar, surface: Surface, pose_features: Tensor | None = None):
@@ -176,41 +176,61 @@ def attributes_at(avatar: Avatar, surface: Surface, pose_features: Tensor | None
             avatar.sample_at(former)
 
 
-def _padded(array: np.ndarray, chunks: int, chunk: int) -> np.ndarray:
+def _padded(array: np.ndarray, chunk: int) -> np.ndarray:
     """(N, ...) -> (chunks, chunk, ...), the last row repeated."""
     array = np.asarray(array)
-    missing = chunks * chunk - len(array)
-    return np.concatenate([array, np.repeat(array[-1:], missing, 0)]).reshape(chunks, chunk, *array.shape[1:])
+    missing = -len(array) % chunk
+    return np.concatenate([array, np.repeat(array[-1:], missing, 0)]).reshape(-1, chunk, *array.shape[1:])
 
 
-def _scan_model(rows: onnx.ModelProto, scanned: dict, constants: dict, shape: tuple, count: int) -> onnx.ModelProto:
-    """A loop (ONNX Scan) of `rows` over the leading axis of the `scanned` arrays, its outputs joined and cut to
-    `count`; weights stand in the loop's body, once."""
+def _scan_model(rows: onnx.ModelProto, scanned: dict, constants: dict, shape: tuple, chunk: int) -> onnx.ModelProto:
+    """A loop (ONNX Scan) of `rows` over chunks of the wanted rows of the `scanned` arrays (N, ...), its outputs joined;
+    weights stand in the loop's body, once."""
     body = copy.deepcopy(rows.graph)
     for info in [i for i in body.input if i.name == "texels"]:
         body.input.remove(info)  # found in the scope outside
     scanned = {info.name: scanned[info.name] for info in body.input}  # the tracer leaves out what a decoder ignores
-    nodes, initializers = [], [numpy_helper.from_array(np.ascontiguousarray(v), f"all_{k}") for k, v in scanned.items()]
-    initializers += [numpy_helper.from_array(np.ascontiguousarray(v), k) for k, v in constants.items()]
+    count = len(next(iter(scanned.values())))
+    nodes, initializers = [], []
+
+    def constant(name: str, value) -> str:
+        initializers.append(numpy_helper.from_array(np.ascontiguousarray(value), name))
+        return name
+
+    def node(kind: str, inputs: list[str], output: str, **attributes) -> str:
+        nodes.append(helper.make_node(kind, inputs, [output], **attributes))
+        return output
+
+    constant(ROWS, np.arange(count, dtype=np.int32))
     total = "pose_features"
     if "features" in constants:
-        total = "all_features"
-        nodes.append(helper.make_node("Add", ["pose_features", "features"], [total]))
-    initializers.append(numpy_helper.from_array(np.array([shape[1], -1], np.int64), "map_shape"))
-    nodes.append(helper.make_node("Reshape", [total, "map_shape"], ["channels_first"]))
-    nodes.append(helper.make_node("Transpose", ["channels_first"], ["texels"], perm=[1, 0]))
+        total = node("Add", [total, constant("features", constants["features"])], "all_features")
+    flat = node("Reshape", [total, constant("map_shape", np.array([shape[1], -1], np.int64))], "channels_first")
+    node("Transpose", [flat], "texels", perm=[1, 0])
+    # the wanted rows, filled up to whole chunks by row 0
+    wanted = node("Shape", [ROWS], "wanted")
+    negative = node("Neg", [wanted], "negative")
+    missing = node("Mod", [negative, constant("chunk", np.array([chunk], np.int64))], "missing")
+    ends = node("Concat", [constant("first", np.zeros(1, np.int64)), missing], "ends", axis=0)
+    filled = node("Pad", [ROWS, ends], "filled_rows")
+    for name, values in scanned.items():
+        taken = node("Gather", [constant(f"all_{name}", values), filled], f"taken_{name}", axis=0)
+        place = constant(f"chunks_{name}", np.array([-1, chunk, *np.shape(values)[1:]], np.int64))
+        node("Reshape", [taken, place], f"scanned_{name}")
     stacked = [f"stacked_{name}" for name in OUTPUTS]
-    scan = helper.make_node("Scan", [f"all_{k}" for k in scanned], stacked, body=body, num_scan_inputs=len(scanned))
+    scan = helper.make_node("Scan", [f"scanned_{k}" for k in scanned], stacked, body=body, num_scan_inputs=len(scanned))
     nodes.append(scan)
     outputs = []
+    constant("axis", np.zeros(1, np.int64))
     for name, tail in (("offsets", (3,)), ("colors", (3,)), ("scales", ())):
-        initializers.append(numpy_helper.from_array(np.array([-1, *tail], np.int64), f"shape_{name}"))
-        nodes.append(helper.make_node("Reshape", [f"stacked_{name}", f"shape_{name}"], [f"joined_{name}"]))
-        nodes.append(helper.make_node("Slice", [f"joined_{name}", "first", "last", "axis"], [name]))
-        outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, (count, *tail)))
-    for name, value in (("first", 0), ("last", count), ("axis", 0)):
-        initializers.append(numpy_helper.from_array(np.array([value], np.int64), name))
-    inputs = [helper.make_tensor_value_info("pose_features", TensorProto.FLOAT, shape)]
+        joined = node("Reshape", [f"stacked_{name}", constant(f"shape_{name}", np.array([-1, *tail], np.int64))],
+                      f"joined_{name}")  # fmt: skip
+        node("Slice", [joined, "first", wanted, "axis"], name)
+        outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, ("gaussians", *tail)))
+    inputs = [
+        helper.make_tensor_value_info("pose_features", TensorProto.FLOAT, shape),
+        helper.make_tensor_value_info(ROWS, TensorProto.INT32, ("gaussians",)),
+    ]
     graph = helper.make_graph(nodes, "decoder", inputs, outputs, initializers)
     return helper.make_model(graph, opset_imports=list(rows.opset_import), ir_version=rows.ir_version)
 

@@ -19,9 +19,9 @@ import torch
 from gavatar_runtime.avatar import Avatar
 from gavatar_runtime.bundle import Bundle, read_bundle
 from gavatar_runtime.camera import Camera
-from gavatar_runtime.detail import as_trained
+from gavatar_runtime.detail import WORTH, as_trained, uv_for_size
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.framing import frame_motion
+from gavatar_runtime.framing import frame_motion, size_on_screen
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.player import build_rasterizer, play
 from gavatar_runtime.tiers import player_tiers, stored_tiers
@@ -33,18 +33,23 @@ from .training.run import Run
 WHITE = (1.0, 1.0, 1.0)
 WARM = 5  # frames before the measured ones
 QUALITY_FRAMES = 12  # evenly spaced over the motion, on which a choice is compared with the full model
+SWITCHES = ({"fast": True}, {"backface": 0.3}, {"depth_cut": 0.3}, {"resolution": 0.5})
 FOOTAGE_SPLITS = ("novel_pose", "test", "val")  # the first of these that a capture has is what it is held against
 
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """One way to play. uv: level of detail, None for all Gaussians. reuse: decode every so many frames. fast: the
-    rasterizer's cheaper exponential and earlier stop."""
+    """One way to play. uv: level of detail, None for all Gaussians. reuse: decode every so many frames. seen_only:
+    decode what the camera can see. fast, backface, depth_cut, resolution: of the native rasterizer (`NativeConfig`)."""
 
     tier: str
     uv: int | None = None
     reuse: int = 1
+    seen_only: bool = False
     fast: bool = False
+    backface: float = 0.0
+    depth_cut: float = 0.0
+    resolution: float = 1.0
 
     @property
     def label(self) -> str:
@@ -53,17 +58,29 @@ class Choice:
             parts.append(f"uv {self.uv}")
         if self.reuse > 1:
             parts.append(f"reuse {self.reuse}")
+        if self.seen_only:
+            parts.append("seen only")
         if self.fast:
             parts.append("fast")
+        for name in ("backface", "depth_cut", "resolution"):
+            if name in self.switches:
+                parts.append(f"{name} {self.switches[name]:g}")
         return ", ".join(parts)
 
+    @property
+    def switches(self) -> dict:
+        """Those of the rasterizer's options that are not off."""
+        defaults = {f.name: f.default for f in dataclasses.fields(self)}
+        names = ("fast", "backface", "depth_cut", "resolution")
+        return {name: getattr(self, name) for name in names if getattr(self, name) != defaults[name]}
+
     def open(self, bundle: Bundle, threads: int | None = None) -> Avatar:
-        return Avatar(bundle, tier=self.tier, uv=self.uv, reuse=self.reuse, threads=threads)
+        return Avatar(bundle, tier=self.tier, uv=self.uv, reuse=self.reuse, seen_only=self.seen_only, threads=threads)
 
     def rasterizer(self, threads: int | None = None):
-        """The native rasterizer where it is there to be used, else NumPy's, which knows no `fast`."""
+        """The native rasterizer where it is there to be used, else NumPy's, which knows none of its switches."""
         try:
-            return build_rasterizer("native", {"fast": self.fast}, threads=threads)
+            return build_rasterizer("native", self.switches, threads=threads)
         except UserError:
             return build_rasterizer("numpy")
 
@@ -119,17 +136,23 @@ class _Nowhere:
         pass
 
 
-def default_choices(bundle: Bundle) -> list[Choice]:
-    """The ladder of a bundle: every stored tier, and on them the cheaper levels of detail, temporal reuse and the fast
-    rasterizer, where they can pay: nothing makes the networks of `full` fast, and nothing is reused by `baked`."""
+def default_choices(bundle: Bundle, auto_uv: int | None = None) -> list[Choice]:
+    """The ladder of a bundle: every stored tier, and on them the cheaper levels of detail, temporal reuse, decoding
+    what is seen and the rasterizer's switches, where they can pay: nothing makes the networks of `full` fast, and
+    nothing is reused by `baked`. auto_uv: what `detail.uv_for_size` says of this picture."""
     stored = stored_tiers(bundle)
     side = bundle.surfaces()[0].resolution
-    levels = [uv for uv in (64, 128, 256, 384) if uv < 0.9 * side]
+    levels = sorted({uv for uv in (64, 128, 256, 384, auto_uv or side) if uv < WORTH * side})
     choices = [Choice(tier) for tier in stored]
     cheap = [t for t in ("blendshape", "baked") if t in stored] or stored
+    networks = [t for t in ("full", "int8", "coarse") if t in stored] if bundle.manifest.dynamic else []
     choices += [Choice(tier, uv=uv) for tier in cheap for uv in levels]
-    choices += [Choice(tier, fast=True) for tier in cheap]
-    choices += [Choice(tier, reuse=k) for tier in ("int8", "coarse") if tier in stored for k in (2, 4)]
+    choices += [Choice(tier, **switch) for tier in cheap for switch in SWITCHES]
+    choices += [Choice(tier, reuse=k) for tier in networks if tier != "full" for k in (2, 4)]
+    choices += [
+        Choice(tier, seen_only=True) for tier in networks if Choice(tier, seen_only=True).open(bundle).seen_only
+    ]
+    choices += [Choice("int8", uv=uv) for uv in levels if uv >= 256 and "int8" in networks]
     return choices
 
 
@@ -138,9 +161,10 @@ def measure_speed(
 ) -> None:
     """Fill in fps and stages over the motion; slow choices see as many of its first frames as `budget_s` allows."""
     avatar, rasterizer = row.choice.open(bundle, threads), row.choice.rasterizer(threads)
+    avatar.with_normals = getattr(rasterizer, "wants_normals", False)
     start = perf_counter()
     for i in range(2):
-        rasterizer.render(avatar.gaussians(*motion.at(i % len(motion))), camera, WHITE)
+        rasterizer.render(avatar.gaussians(*motion.at(i % len(motion)), camera=camera), camera, WHITE)
     each = (perf_counter() - start) / 2
     count = min(len(motion), max(WARM + 3, int(budget_s / max(each, 1e-4))))
     part = motion.taken(slice(count))
@@ -165,6 +189,7 @@ def images(choice: Choice, bundle: Bundle, motion: Motion, frames: Sequence[int]
     """Images of a choice at `frames` of a motion, each with its camera. Where decodes are reused, the frames before
     are played too, as they would be."""
     avatar, rasterizer = choice.open(bundle), choice.rasterizer()
+    avatar.with_normals = getattr(rasterizer, "wants_normals", False)
     result, at = [], 0
     for frame, camera in zip(frames, cameras, strict=True):
         if choice.reuse > 1:
@@ -172,7 +197,7 @@ def images(choice: Choice, bundle: Bundle, motion: Motion, frames: Sequence[int]
             for earlier in range(at, frame):
                 avatar.gaussians(*motion.at(earlier))
         at = frame + 1
-        gaussians = as_trained(avatar.gaussians(*motion.at(frame)), camera, avatar.pixel)
+        gaussians = as_trained(avatar.gaussians(*motion.at(frame), camera=camera), camera, avatar.pixel)
         result.append(np.clip(rasterizer.render(gaussians, camera, WHITE).color, 0, 1).copy())
     return result
 
@@ -213,6 +238,9 @@ def measure_process(row: Row, path: Path, frames: int = 30) -> None:
         command = [sys.executable, "-m", "gavatar_runtime.cli.play", str(path), "--tier", choice.tier, "--quiet"]
         command += ["--width", str(row.width), "--height", str(row.height), "--reuse", str(choice.reuse)]
         command += ["--uv", str(choice.uv)] if choice.uv else []
+        command += ["--seen-only"] if choice.seen_only else []
+        for name, value in choice.switches.items():
+            command += ["--set", f"rasterizer.{name}={str(value).lower()}"]
         start = perf_counter()
         _run([*command, "--frames", "0", "--out", f"{folder}/first.png"])
         row.first_frame_s = perf_counter() - start
@@ -263,10 +291,12 @@ def run_ladder(
 ) -> list[Row]:
     """Measure every choice. motion: fitted to the avatar. perceptual: a function of two (1, 3, H, W) images or None."""
     bundle = read_bundle(path)
-    choices = list(choices or default_choices(bundle))
     reference = Choice("full")
     avatar = reference.open(bundle)
     camera = frame_motion(avatar, motion, width, height)
+    if choices is None:
+        auto = uv_for_size(avatar.surface, size_on_screen(avatar, motion, [camera] * len(motion)))
+        choices = default_choices(bundle, auto)
     frames = np.unique(np.linspace(0, len(motion) - 1, QUALITY_FRAMES).astype(int)).tolist()
     full = images(reference, bundle, motion, frames, [camera] * len(frames))
     held = None

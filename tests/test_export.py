@@ -11,6 +11,7 @@ from tiny_capture import SMALL, write_tiny_capture
 from torch import nn
 
 import gavatar.export as module
+from gavatar import graphs
 from gavatar.config import compose_config
 from gavatar.export import export, torch_gaussians
 from gavatar.graphs import fold_batchnorm
@@ -72,8 +73,26 @@ def test_onnx_members_state_opset_and_metadata_and_hold_no_batchnorm(runs, tmp_p
         assert properties["license"] == "CC0-1.0"
         assert "BatchNormalization" not in {node.op_type for node in model.graph.node}
     session = onnxruntime.InferenceSession(bundle.read("decoder.onnx"))
-    (points, _) = session.get_outputs()[0].shape
-    assert points == bundle.manifest.gaussians == len(runs["upstream and BatchNorm"].avatar.surface)
+    shape = session.get_inputs()[0].shape
+    features = np.random.default_rng(0).normal(size=shape).astype(np.float32)
+    (offsets,) = session.run(["offsets"], {"pose_features": features})
+    assert len(offsets) == bundle.manifest.gaussians == len(runs["upstream and BatchNorm"].avatar.surface)
+
+
+def test_a_decoder_gives_the_rows_it_is_asked_for(runs, tmp_path, monkeypatch):
+    monkeypatch.setattr(graphs, "CHUNK", 256)  # several chunks, the last of them not full
+    for name in ("mlp and unet", "features of another size than the map"):
+        export(runs[name], tmp_path / "a.gavatar")
+        session = onnxruntime.InferenceSession(read_bundle(tmp_path / "a.gavatar").read("decoder.onnx"))
+        shape = session.get_inputs()[0].shape
+        feeds = {"pose_features": np.random.default_rng(0).normal(size=shape).astype(np.float32)}
+        whole = session.run(["offsets", "colors", "scales"], feeds)
+        count = len(whole[0])
+        for rows in ([0], [count - 1, 5, 5], np.arange(256), np.arange(0, count, 3), np.arange(count)[::-1]):
+            rows = np.asarray(rows, np.int32)
+            got = session.run(["offsets", "colors", "scales"], {**feeds, "rows": rows})
+            for a, b in zip(got, whole, strict=True):
+                np.testing.assert_allclose(a, b[rows], atol=1e-6)  # a matrix product in blocks of another place
 
 
 def test_an_export_beyond_tolerance_is_refused_and_nothing_is_left(runs, tmp_path, monkeypatch):

@@ -17,7 +17,7 @@ from gavatar.graphs import bilinear, subpixel
 from gavatar.registry import TIERS, load_plugins
 from gavatar.sampling import sample_uv
 from gavatar.tiers import limb_of_joints, part_of_points, upsampling
-from gavatar.tradeoff import Choice, Row, compare, images, mark_dominated
+from gavatar.tradeoff import Choice, Row, compare, default_choices, images, mark_dominated
 from gavatar.training.run import open_run, train
 from gavatar_runtime import native_library, residuals
 from gavatar_runtime.adaptive import PATIENCE, RECOVERY, AdaptiveAvatar
@@ -25,7 +25,7 @@ from gavatar_runtime.avatar import Avatar
 from gavatar_runtime.bundle import read_bundle
 from gavatar_runtime.detail import thinned, uv_for_size
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.framing import frame_motion
+from gavatar_runtime.framing import frame_motion, size_on_screen
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.player import build_rasterizer, play
 from gavatar_runtime.selection import choose_tier
@@ -55,6 +55,15 @@ def bundle(run, tmp_path_factory):
     path = tmp_path_factory.mktemp("bundle") / "a.gavatar"
     export(run, path, tiers=TIERS.names())
     return read_bundle(path, verify=True)
+
+
+@pytest.fixture(scope="module")
+def fine(run, tmp_path_factory):
+    """The same avatar with more Gaussians than the smallest level of detail."""
+    path, before = tmp_path_factory.mktemp("bundle") / "fine.gavatar", run.avatar.surface
+    export(run, path, uv=96, tiers=["int8", "blendshape"])
+    run.avatar.sample_at(before)
+    return read_bundle(path)
 
 
 # the kernels
@@ -279,6 +288,86 @@ def test_a_pipelined_player_writes_the_same_images(bundle):
     np.testing.assert_array_equal(*results)
 
 
+# only what the camera sees, and detail by size
+
+
+@pytest.mark.parametrize("tier", ["full", "int8"])
+@pytest.mark.parametrize("uv", [None, 64])
+def test_decoding_what_is_seen_changes_nothing_of_what_is_decoded(fine, tier, uv):
+    whole, seen = Avatar(fine, tier=tier, uv=uv), Avatar(fine, tier=tier, uv=uv, seen_only=True)
+    assert seen.seen_only
+    pose = np.random.default_rng(0).normal(0, 0.2, (52, 3)).astype(np.float32)
+    motion = Motion(pose[None], np.zeros((1, 3), np.float32), 30.0)
+    camera = frame_motion(whole, motion, 96, 96)
+    for _ in range(2):  # the first call finds the shapes, the next ones fill what is there
+        every, some = whole.gaussians(pose), seen.gaussians(pose, None, camera)
+        assert 0.4 * len(whole) < len(some) < 0.95 * len(whole)
+        place = {tuple(mean): i for i, mean in enumerate(every.means.round(4).tolist())}
+        rows = [place.get(tuple(mean), -1) for mean in some.means.round(4).tolist()]
+        known = np.array(rows) >= 0  # rounding may part a few
+        assert known.mean() > 0.98
+        np.testing.assert_allclose(some.colors[known], every.colors[np.array(rows)[known]], atol=1e-5)
+    assert len(seen.gaussians(pose)) == len(whole)  # without a camera all are decoded
+    away = dataclasses.replace(camera, T_camera_world=np.diag([1.0, -1, -1, 1]) @ camera.T_camera_world)
+    assert len(seen.gaussians(pose, None, away)) == 0
+    rasterizer = build_rasterizer()
+    assert (rasterizer.render(seen.gaussians(pose, None, away), away, (1, 1, 1)).color == 1).all()
+
+
+def test_only_networks_of_one_decode_a_frame_leave_out_what_is_not_seen(fine):
+    assert not Avatar(fine, tier="baked", seen_only=True).seen_only
+    assert not Avatar(fine, tier="int8", seen_only=True, reuse=2).seen_only
+
+
+def test_detail_follows_the_persons_size_on_screen(fine):
+    avatar = Avatar(fine, tier="baked")
+    motion = Motion(np.zeros((2, 52, 3), np.float32), np.float32([[0, 0, 0], [0, 0, 1.0]]), 30.0)
+    sizes = []
+    for pixels in (48, 96):
+        camera = frame_motion(avatar, motion, pixels, pixels)
+        sizes.append(size_on_screen(avatar, motion, [camera, camera]))
+        assert 0.5 * pixels < sizes[-1] < 1.3 * pixels
+    assert sizes[1] == pytest.approx(2 * sizes[0])
+    inside = dataclasses.replace(camera, T_camera_world=np.eye(4))
+    assert size_on_screen(avatar, motion, [inside, inside]) == np.inf
+    assert uv_for_size(avatar.surface, np.inf) == avatar.surface.resolution
+
+
+def test_the_player_takes_detail_and_seen_only_or_says_why_not(fine, tmp_path, capsys):
+    from gavatar_runtime.cli.play import main
+
+    def run(*options) -> tuple[int, dict, str]:
+        report = tmp_path / "r.json"
+        arguments = ["--size", "64", "--frames", "0:3", "--out", str(tmp_path / "f"), "--json", str(report), *options]
+        with pytest.raises(SystemExit) as done:
+            main([str(fine.path), *arguments])
+        return done.value.code, json.loads(report.read_text()) if report.exists() else {}, capsys.readouterr().err
+
+    code, report, _ = run("--uv", "auto", "--tier", "baked")
+    assert code == 0
+    assert report["uv"] < fine.surfaces()[0].resolution
+    assert report["gaussians"] < fine.manifest.gaussians
+    assert run("--detail", "64", "--tier", "full", "--seen-only")[0] == 0
+    code, _, error = run("--tier", "baked", "--seen-only")
+    assert code == 2
+    assert "tier baked has nothing to leave out" in error
+    code, _, error = run("--tier", "int8", "--seen-only", "--reuse", "2")
+    assert code == 2
+    assert "leave --reuse out" in error
+    assert "--seen-only out" in run("--budget-ms", "5", "--seen-only")[2]
+
+
+def test_every_rung_of_the_ladder_opens_and_is_named_once(fine):
+    choices = default_choices(fine, auto_uv=70)
+    assert len({c.label for c in choices}) == len(choices)
+    assert {"baked, backface 0.3", "full, seen only", "blendshape, uv 70", "baked, resolution 0.5"} <= {
+        c.label for c in choices
+    }
+    for choice in choices:
+        choice.open(fine)
+        choice.rasterizer()
+
+
 # a budget
 
 
@@ -297,9 +386,13 @@ def test_a_budget_makes_frames_cheaper_and_finer_again(bundle):
     assert frames(2, 10.0) == (2, None)  # opening a level is slow, and no reason to go on
     assert frames(100, 0.02) == avatar.levels[-1]  # as cheap as it goes, and no further
     assert frames(RECOVERY, 0.008) == avatar.levels[-1]  # within the budget: nothing changes
-    assert frames(RECOVERY + 5, 0.002) == avatar.levels[-2]  # a few frames until the running mean follows
+    frames(8, 0.002)
+    assert frames(RECOVERY, 0.002) == avatar.levels[-2]
     assert frames(500, 0.002) == (1, None)
-    assert sum(level["frames"] for level in avatar.report()) == PATIENCE + 2 + 100 + 2 * RECOVERY + 5 + 500
+    assert frames(PATIENCE - 1, 0.008) == frames(1, 5.0) == (1, None)  # one slow frame alone
+    assert frames(20, 0.0099) == (1, None)  # and it is not carried along
+    assert sum(level["frames"] for level in avatar.report()) == 2 * PATIENCE + 2 + 100 + 2 * RECOVERY + 8 + 500 + 20
+    assert frames(PATIENCE, 0.05) == (4, None)  # far over: two levels at once
     with pytest.raises(UserError, match="budget of 0 ms"):
         AdaptiveAvatar(bundle, 0.0)
     assert [r for r, _ in AdaptiveAvatar(bundle, 1.0, tier="baked").levels] == [1]  # nothing to reuse
@@ -331,7 +424,7 @@ def test_the_player_keeps_a_budget_and_says_what_it_did(bundle, tmp_path, capsys
     with pytest.raises(SystemExit) as done:
         main([str(bundle.path), *options, "--budget-ms", "5", "--reuse", "2"])
     assert done.value.code == 2
-    assert "leave --uv and --reuse out" in capsys.readouterr().err
+    assert "leave --uv, --reuse and --seen-only out" in capsys.readouterr().err
 
 
 # choosing

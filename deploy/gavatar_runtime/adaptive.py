@@ -3,7 +3,7 @@ Gaussians."""
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 
 import numpy as np
 
@@ -11,18 +11,26 @@ from .avatar import Avatar
 from .bundle import Bundle
 from .errors import UserError
 from .gaussians import Gaussians
+from .motion import Motion
 from .tiers import DEFAULT
 
 REUSE = (1, 2, 4, 8)
 DETAIL = (0.75, 0.5, 0.375, 0.25)  # of the side of the atlas
-PATIENCE, RECOVERY = 4, 30  # frames over it before it gets cheaper, and well under it before it gets finer
-EASE = 0.6  # of the budget: what a frame must stay under for a finer level to be tried
+PATIENCE, RECOVERY = 4, 30  # frames looked at before it gets cheaper, and before it gets finer
+TYPICAL, NEARLY_ALL = (
+    50,
+    90,
+)  # percentiles: over the budget is what a typical frame is, well under it what nearly all are
+FAR = 2.0  # times the budget: so slow that two levels are skipped at once
+EASE = 0.6  # of the budget: what nearly all frames must stay under for a finer level to be tried
 SETTLE = 2  # frames after a change that say nothing: one was decoded before it, one opens the new level
-SMOOTHING = 0.3  # of the newest frame in the running mean
 
 
 class AdaptiveAvatar:
-    """An avatar that changes its level so that its frames take `budget_s` seconds on average.
+    """An avatar that changes its level so that its typical frame takes no more than `budget_s` seconds.
+
+    It looks at percentiles of the last frames at the present level, where one slow frame counts once: a running mean
+    carries it along. Where decodes are reused, a frame is the mean of a turn.
 
     Plays like `Avatar` (`gaussians`, `stage_seconds`, and whatever else is asked of it at full detail); the
     player tells it by `frame_took` how long each frame was. levels: (reuse, uv) from the finest; uv None is all.
@@ -45,7 +53,9 @@ class AdaptiveAvatar:
         self.with_normals = False
         self.frames: Counter[int] = Counter()  # by level
         self._avatars = {0: self.finest}
-        self._mean, self._over, self._under, self._settling = 0.0, 0, 0, 0
+        self._recent: deque[float] = deque(maxlen=RECOVERY + REUSE[-1])
+        self._settling = 0
+        self._motion: Motion | None = None
 
     def __getattr__(self, name: str):
         if name == "finest":  # not there yet: the constructor failed
@@ -55,6 +65,12 @@ class AdaptiveAvatar:
     def __len__(self) -> int:
         return len(self.finest)
 
+    def follow(self, motion: Motion) -> None:
+        """See `Avatar.follow`."""
+        self._motion = motion
+        for avatar in self._avatars.values():
+            avatar.follow(motion)
+
     def gaussians(
         self, pose: np.ndarray, trans: np.ndarray | None = None, expression: np.ndarray | None = None
     ) -> Gaussians:
@@ -62,6 +78,8 @@ class AdaptiveAvatar:
         level = self.level
         if level not in self._avatars:
             self._avatars[level] = self._make(*self.levels[level])
+            if self._motion is not None:
+                self._avatars[level].follow(self._motion)
         avatar = self._avatars[level]
         avatar.with_normals = self.with_normals
         result = avatar.gaussians(pose, trans, expression)
@@ -74,13 +92,19 @@ class AdaptiveAvatar:
         if self._settling:
             self._settling -= 1
             return
-        self._mean = seconds if not self._mean else (1 - SMOOTHING) * self._mean + SMOOTHING * seconds
-        self._over = self._over + 1 if self._mean > self.budget_s else 0
-        self._under = self._under + 1 if self._mean < EASE * self.budget_s else 0
-        step = (self._over >= PATIENCE) - (self._under >= RECOVERY)
-        if step and 0 <= self.level + step < len(self.levels):
-            self.level += step
-            self._mean, self._over, self._under, self._settling = 0.0, 0, 0, SETTLE
+        self._recent.append(seconds)
+        turn = self.levels[self.level][0]
+        costs = np.convolve(self._recent, np.full(turn, 1 / turn), "valid") if len(self._recent) >= turn else ()
+        step = 0
+        if len(costs) >= PATIENCE:
+            typical = np.percentile(costs[-PATIENCE:], TYPICAL)
+            step = 0 if typical <= self.budget_s else 1 if typical <= FAR * self.budget_s else 2
+        if len(costs) >= RECOVERY and np.percentile(costs[-RECOVERY:], NEARLY_ALL) < EASE * self.budget_s:
+            step = -1
+        level = min(max(0, self.level + step), len(self.levels) - 1)
+        if level != self.level:
+            self.level, self._settling = level, SETTLE
+            self._recent.clear()
 
     def report(self) -> list[dict]:
         """Frames played at each level that was used, the finest first."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from time import perf_counter
 
@@ -10,16 +9,20 @@ import numpy as np
 
 from .body import Hands
 from .bundle import Bundle, read_bundle
+from .camera import Camera
 from .detail import thinned
 from .errors import UserError
 from .expression import MEMBER as EXPRESSION
 from .expression import Expression
+from .folding import folded, still_joints
 from .gaussians import Gaussians
 from .motion import Motion
+from .residuals import empty
 from .skeletons import fit_motion, scaled_to_legs
 from .skinning import skin
 from .surface import Surface
 from .tiers import DEFAULT, Parts, player_tiers, stored_tiers
+from .visibility import seen_from
 
 
 class Avatar:
@@ -28,11 +31,13 @@ class Avatar:
     bundle: an opened `Bundle` or the path of one. tier: how its Gaussians are decoded, one that the
     bundle holds. uv: level of detail as a side of the atlas, None for all Gaussians of the bundle (`detail.thinned`).
     reuse: decode every so many calls only and fade from one result to the next in between, which lags by as many; it
-    takes the calls for the frames of one motion. threads: of ONNX Runtime within one operator, None for one a core.
+    takes the calls for the frames of one motion. seen_only: decode only what the camera given to `gaussians` can see,
+    where the tier and the bundle can do that and decodes are not reused (`visibility.seen_from`).
+    threads: of ONNX Runtime within one operator, None for one a core.
     joint_names: of the body, J names. joints: (J, 3) rest joints of its shape, metres. surface: where its N Gaussians
-    sit. expression: `Expression` of bodies that have a face, or None. with_normals: whether `gaussians` shall give
-    normals, for rasterizers that want them. stage_seconds: what the last call of `gaussians` spent on `encode`,
-    `decode` and `skin`.
+    sit. uv: the side of the atlas that they stand for. expression: `Expression` of bodies that have a face, or None.
+    with_normals: whether `gaussians` shall give normals, for rasterizers that want them.
+    stage_seconds: what the last call of `gaussians` spent on `encode`, `decode` and `skin`.
     Raises UserError for a bundle that cannot be read or that ONNX Runtime cannot load.
     """
 
@@ -43,6 +48,7 @@ class Avatar:
         tier: str = DEFAULT,
         uv: int | None = None,
         reuse: int = 1,
+        seen_only: bool = False,
         threads: int | None = None,
     ):
         if threads is not None and threads < 1:
@@ -53,7 +59,8 @@ class Avatar:
             raise UserError(f"reuse={reuse}: give a whole number from 1 up")
         stored, map_surface = self.bundle.surfaces()
         chosen, added = (None, None) if uv is None or uv == stored.resolution else thinned(stored, uv)
-        self.surface = stored if chosen is None else _taken(stored, chosen)
+        self.uv = stored.resolution if uv is None else uv
+        self.surface = stored if chosen is None else stored.take(chosen)
         self.joints = self.surface.joints
         self.joint_names, self._rest_pose, self._hands = self._read_body()
         self.expression = self._read_expression(len(stored), chosen)
@@ -61,10 +68,14 @@ class Avatar:
         self.stage_seconds: dict[str, float] = {}
         self.tier = tier
         self._tier = self._build_tier(tier, Parts(self.bundle, stored, map_surface, threads, chosen, added))
+        self.seen_only = seen_only and self._tier.picks and self._tier.moves and reuse == 1
         self._reuse, self._faded = reuse, None
+        self._mixed = [empty(len(self.surface)) for _ in range(3)] if reuse > 1 else []
         self._static = None
         self._means = [np.empty((len(self.surface), 3), np.float32) for _ in range(3)]
-        self._calls = 0
+        self._normals: list[np.ndarray] = []
+        self._calls = -1
+        self._posing, self._moving, self._still = self.surface, None, None
 
     def __len__(self) -> int:
         """The number of Gaussians."""
@@ -99,15 +110,31 @@ class Avatar:
                 raise UserError(f"motion '{motion.name}' has a NaN or infinite {key} at frame {int(np.argmax(bad))}")
         return motion, ignored
 
+    def follow(self, motion: Motion) -> None:
+        """Prepare for the poses of a fitted motion: joints that it never moves are folded into their parents, which
+        spares a tenth of skinning where that is the fingers. Any other pose remains right, at the former cost."""
+        still = still_joints(self.surface, motion.poses)
+        if still.any():
+            self._posing, self._moving = folded(self.surface, still)
+            self._still = still, np.asarray(motion.poses[0], np.float32)[still]
+        else:
+            self._posing, self._moving, self._still = self.surface, None, None
+
     def gaussians(
-        self, pose: np.ndarray, trans: np.ndarray | None = None, expression: np.ndarray | None = None
+        self,
+        pose: np.ndarray,
+        trans: np.ndarray | None = None,
+        expression: np.ndarray | None = None,
+        *,
+        camera: Camera | None = None,
     ) -> Gaussians:
         """The avatar in one pose.
 
         pose: (J, 3) axis-angle relative to the parent joint, radians; with another number of joints it is fitted as
         `fit` does. trans: (3,) metres, zero if None. expression: (E,) coefficients or fewer, zero if None; an avatar
-        whose `expression` is None takes none. Returns N isotropic Gaussians in the world, float32, opaque; their
-        arrays are filled again by the third call from this one, so copy what is to be kept.
+        whose `expression` is None takes none. camera: that will look at it, which only `seen_only` needs.
+        Returns N isotropic Gaussians in the world, float32, opaque (fewer with `seen_only`); their arrays are filled
+        again by the third call from this one, so copy what is to be kept.
         Raises UserError for a NaN or infinite pose or expression, ValueError for an expression that it cannot have.
         """
         pose = np.asarray(pose, np.float32)
@@ -117,23 +144,71 @@ class Avatar:
         if len(pose) != len(self.joint_names):
             pose = self.fit(Motion(pose[None], trans[None], 1.0))[0].poses[0]
         self._check_finite(pose, trans)
-
-        points, colors, scales = self._decode(pose)
-        decoded = perf_counter()
-        shift = None
+        coefficients = None
         if expression is not None and np.any(expression):
-            points, shift = self._expressed(points, np.asarray(expression, np.float32))
-        A = self.surface.skin_transforms(pose, shift)
+            coefficients = self._coefficients(np.asarray(expression, np.float32))
+        start = perf_counter()
+        surface, A = self._transforms(pose, coefficients)
         A[:, :3, 3] += trans
         self._calls += 1
-        out = self._means[self._calls % 3]
-        means = skin(points, self.surface.joint_index, self.surface.joint_weight, A, out)
-        normals = None
-        if self.with_normals:  # those of the body's surface; blending rotations shortens them, never lengthens
-            A[:, :3, 3] = 0
-            normals = skin(self.surface.normals, self.surface.joint_index, self.surface.joint_weight, A)
-        self.stage_seconds = {**self._tier.stage_seconds, "skin": perf_counter() - decoded}
-        return Gaussians(means=means, scales=scales, colors=colors, normals=normals)
+        normals = self._skinned_normals(surface, A) if self.with_normals or self.seen_only else None
+        if self.seen_only and camera is not None:
+            return self._seen(pose, coefficients, surface, A, normals, camera, start)
+        before = perf_counter() - start
+        points, colors, scales = self._decode(pose)
+        decoded = perf_counter()
+        if coefficients is not None:
+            points = self.expression.points(points, coefficients)
+        means = skin(points, surface.joint_index, surface.joint_weight, A, self._means[self._calls % 3])
+        self.stage_seconds = {**self._tier.stage_seconds, "skin": before + perf_counter() - decoded}
+        return Gaussians(means=means, scales=scales, colors=colors, normals=normals if self.with_normals else None)
+
+    def _seen(self, pose, coefficients, surface: Surface, A: np.ndarray, normals: np.ndarray, camera: Camera, start):
+        """As `gaussians`, of those that the camera can see."""
+        means = self._means[self._calls % 3]
+        body = skin(surface.points, surface.joint_index, surface.joint_weight, A, means)
+        rows = seen_from(body, normals, camera)
+        found = perf_counter()
+        if len(rows):
+            points, colors, scales = self._tier(pose, rows)
+        else:
+            points, colors, scales = empty(0)
+            self._tier.stage_seconds = {"encode": 0.0, "decode": 0.0}
+        decoded = perf_counter()
+        if coefficients is not None:
+            points = self.expression.taken(rows, len(self)).points(points, coefficients)
+        means = skin(points, surface.joint_index[rows], surface.joint_weight[rows], A, means[: len(rows)])
+        seconds = found - start + perf_counter() - decoded
+        self.stage_seconds = {**self._tier.stage_seconds, "skin": seconds}
+        return Gaussians(means, scales, colors, normals=normals[rows] if self.with_normals else None)
+
+    def _coefficients(self, expression: np.ndarray) -> np.ndarray:
+        """All E coefficients of an expression."""
+        count = 0 if self.expression is None else self.expression.count
+        if expression.ndim != 1 or len(expression) > count:
+            raise ValueError(f"expression has shape {expression.shape}, this avatar has {count} coefficients")
+        if not np.isfinite(expression).all():
+            raise UserError("the expression is NaN or infinite")
+        return np.pad(expression, (0, count - len(expression)))
+
+    def _transforms(self, pose: np.ndarray, coefficients: np.ndarray | None) -> tuple[Surface, np.ndarray]:
+        """The surface to skin by, and its joints' (J, 4, 4) canonical-to-posed transforms, without translation."""
+        if coefficients is not None:  # which moves joints of the face: none of them rests
+            return self.surface, self.surface.skin_transforms(pose, self.expression.joints @ coefficients)
+        if self._still is not None:
+            still, held = self._still
+            if np.array_equal(pose[still], held):
+                return self._posing, self._posing.skin_transforms(pose[self._moving])
+        return self.surface, self.surface.skin_transforms(pose)
+
+    def _skinned_normals(self, surface: Surface, A: np.ndarray) -> np.ndarray:
+        """(N, 3) normals of the body's surface; blending rotations shortens them, never lengthens."""
+        if not self._normals:
+            self._normals = [np.empty((len(self.surface), 3), np.float32) for _ in range(3)]
+        turn = A.copy()
+        turn[:, :3, 3] = 0
+        out = self._normals[self._calls % 3]
+        return skin(surface.normals, surface.joint_index, surface.joint_weight, turn, out)
 
     def _expressed(self, points: np.ndarray, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points (N, 3) with an expression, and the shift (J, 3) of the rest joints."""
@@ -157,14 +232,23 @@ class Avatar:
     def _reused(self, pose: np.ndarray):
         phase = self._calls % self._reuse
         if phase == 0 or self._faded is None:
-            latest = tuple(a.copy() for a in self._tier(pose))
-            self._faded = (latest if self._faded is None else self._faded[1], latest)
+            latest = self._tier(pose)
+            if self._faded is None:
+                self._faded = tuple(tuple(a.copy() for a in latest) for _ in range(2))
+            else:
+                self._faded = self._faded[1], self._faded[0]
+                for kept, array in zip(self._faded[1], latest, strict=True):
+                    np.copyto(kept, array)
         else:
             self._tier.stage_seconds = {"encode": 0.0, "decode": 0.0}
         start = perf_counter()
         before, after = self._faded
         share = np.float32((phase + 1) / self._reuse)
-        mixed = tuple(a + share * (b - a) for a, b in zip(before, after, strict=True))
+        mixed = self._mixed[self._calls % 3]
+        for a, b, out in zip(before, after, mixed, strict=True):
+            np.subtract(b, a, out=out)
+            np.multiply(out, share, out=out)
+            np.add(out, a, out=out)
         self._tier.stage_seconds["decode"] += perf_counter() - start
         return mixed
 
@@ -215,9 +299,3 @@ class Avatar:
                 "numbers; export the avatar again"
             )
         return Hands(mean.astype(np.float64), components.astype(np.float64))
-
-
-def _taken(surface: Surface, chosen: np.ndarray) -> Surface:
-    """The surface with only the `chosen` points."""
-    names = ("texel", "uv", "face", "barycentric", "points", "normals", "joint_index", "joint_weight", "spacing")
-    return dataclasses.replace(surface, **{name: getattr(surface, name)[chosen] for name in names})

@@ -15,6 +15,7 @@ from .surface import Surface
 
 MIN_UV = 64
 SPREAD = 0.35  # of the spacing: the deviation of an even patch is 0.29 of its side, and below 0.35 holes show at uv 128
+WORTH = 0.9  # of the atlas's side: above, leaving Gaussians out saves less than a fifth of them
 PIXELS_PER_GAUSSIAN = (
     0.8  # of the person's height in the image to the atlas's side, below which a coarser one is enough
 )
@@ -86,4 +87,4 @@ def point_spacing(surface: Surface) -> np.ndarray:
 
 def uv_for_size(surface: Surface, pixels: float) -> int:
     """A side of the atlas that is enough for a person `pixels` tall: one Gaussian a pixel or so."""
-    return int(np.clip(round(pixels / PIXELS_PER_GAUSSIAN), MIN_UV, surface.resolution))
+    return int(np.clip(np.rint(pixels / PIXELS_PER_GAUSSIAN), MIN_UV, surface.resolution))

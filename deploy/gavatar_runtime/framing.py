@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from .avatar import Avatar
 from .camera import Camera, look_at
 from .kinematics import skin
 from .motion import Motion
+from .rasterizers.rules import NEAR
 from .rotations import matrix_from_axis_angle
 
 FOCAL = 50 / 36  # of the longer image side: a 50 mm lens on 36 mm film, which keeps a person's proportions
@@ -68,7 +70,7 @@ def fitted_to(camera: Camera, width: int, height: int) -> Camera:
 def body_points(avatar: Avatar, motion: Motion) -> np.ndarray:
     """(S, 3) a sample of the body's surface over the whole motion, world, metres."""
     surface = avatar.surface
-    frames = np.unique(np.linspace(0, len(motion) - 1, SAMPLED_FRAMES).astype(int))
+    frames = _sampled_frames(motion)
     step = max(1, len(surface) // SAMPLED_POINTS)
     points = surface.points[::step].astype(np.float64)
     index, weight = surface.joint_index[::step], surface.joint_weight[::step]
@@ -80,3 +82,23 @@ def facing(motion: Motion) -> float:
     """Radians about the vertical from +z to where the pelvis faces at the first frame; 0 if it faces up or down."""
     forward = matrix_from_axis_angle(motion.poses[0, 0].astype(np.float64))[:, 2]
     return float(np.arctan2(forward[0], forward[2])) if np.hypot(forward[0], forward[2]) > 0.2 else 0.0
+
+
+def size_on_screen(avatar: Avatar, motion: Motion, cameras: Sequence[Camera]) -> float:
+    """Pixels that the person upright would be tall at the frame where a camera is nearest to them; infinite where a
+    camera is within the body. motion: fitted to the avatar. cameras: one a frame."""
+    frames = _sampled_frames(motion)
+    points = body_points(avatar, motion).reshape(len(frames), -1, 3)
+    height = float(np.ptp(avatar.surface.points[:, 1]))
+    largest = 0.0
+    for frame, posed in zip(frames, points, strict=True):
+        camera = cameras[frame]
+        depth = (posed @ camera.T_camera_world[2, :3] + camera.T_camera_world[2, 3]).min()
+        if not depth > NEAR:
+            return np.inf
+        largest = max(largest, height * max(camera.fx, camera.fy) / depth)
+    return largest
+
+
+def _sampled_frames(motion: Motion) -> np.ndarray:
+    return np.unique(np.linspace(0, len(motion) - 1, SAMPLED_FRAMES).astype(int))

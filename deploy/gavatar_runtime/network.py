@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from .bundle import Bundle
 from .errors import UserError
 
+ROWS = "rows"  # an optional input: which rows are wanted, int32 (`gavatar.graphs.decoder_model`)
+
 
 class Network:
     """`network(*inputs)` -> list of outputs, both in the order of the names given and checked against the member's.
 
-    threads: of ONNX Runtime within one operator, None for one a core. Raises UserError for a member that is missing,
-    damaged, or that ONNX Runtime cannot load.
+    picks: whether the member has the optional input `rows`. threads: of ONNX Runtime within one operator, None for one
+    a core. Raises UserError for a member that is missing, damaged, or that ONNX Runtime cannot load.
     """
 
     def __init__(self, bundle: Bundle, member: str, inputs: tuple[str, ...], outputs: tuple[str, ...], threads):
@@ -40,6 +44,26 @@ class Network:
                 f"{inputs} and outputs {outputs}; export the avatar again"
             )
         self._inputs, self._outputs = inputs, list(outputs)
+        self.picks = ROWS in {x.name for x in self._session.get_overridable_initializers()}
+        self._binding = self._session.io_binding()
+        self._value = onnxruntime.OrtValue.ortvalue_from_numpy
 
-    def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
-        return self._session.run(self._outputs, dict(zip(self._inputs, arrays, strict=True)))
+    def __call__(
+        self, *arrays: np.ndarray, rows: np.ndarray | None = None, out: Sequence[np.ndarray] | None = None
+    ) -> list[np.ndarray]:
+        """The outputs. rows: (M,) int32, only where it `picks`. out: contiguous float32 arrays of just the outputs'
+        shapes, which are filled and returned; None for new ones."""
+        feeds = dict(zip(self._inputs, arrays, strict=True))
+        if rows is not None:
+            feeds[ROWS] = rows
+        if out is None:
+            return self._session.run(self._outputs, feeds)
+        self._binding.clear_binding_inputs()
+        self._binding.clear_binding_outputs()
+        for name, array in feeds.items():
+            # by value: `bind_cpu_input` knows no input that has a default
+            self._binding.bind_ortvalue_input(name, self._value(np.ascontiguousarray(array)))
+        for name, array in zip(self._outputs, out, strict=True):
+            self._binding.bind_output(name, "cpu", 0, array.dtype, array.shape, array.ctypes.data)
+        self._session.run_with_iobinding(self._binding)
+        return list(out)

@@ -93,14 +93,20 @@ def play(
     background = np.asarray(background, np.float32)
     if getattr(rasterizer, "wants_normals", False):
         avatar.with_normals = True
+    if hasattr(avatar, "follow"):
+        avatar.follow(motion)
     timings = Timings()
     wanted = writer.choose(len(motion))
     render = getattr(rasterizer, "render_uint8", None) or (lambda *scene: to_bytes(rasterizer.render(*scene).color))
     threads = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
     decoding, writing = threads if pipelined else (_Inline(), _Inline())
 
+    look = getattr(avatar, "seen_only", False)
+    kept: list[np.ndarray] = []  # the image that is being written, while the rasterizer draws the next
+
     def decode(frame: int):
-        gaussians = avatar.gaussians(*motion.at(frame))
+        seen_by = {"camera": cameras[frame]} if look else {}
+        gaussians = avatar.gaussians(*motion.at(frame), **seen_by)
         stages = dict(avatar.stage_seconds)
         return as_trained(gaussians, cameras[frame], getattr(avatar, "pixel", None)), stages
 
@@ -120,8 +126,12 @@ def play(
             stages |= rasterizer.stage_seconds
             drawn = perf_counter()
             before = 0.0 if written is None else written.result()  # at most one frame waits to be written
-            # the rasterizer draws the next frame into the same buffer
-            written = writing.submit(write, image.copy() if pipelined else image)
+            if pipelined:
+                if not kept or kept[0].shape != image.shape:
+                    kept[:] = [np.empty_like(image)]
+                np.copyto(kept[0], image)
+                image = kept[0]
+            written = writing.submit(write, image)
             wall = drawn - start
             timings.add({**stages, OTHER: max(0.0, wall - sum(stages.values())), WRITE: before}, wall)
             if hasattr(avatar, "frame_took"):

@@ -82,6 +82,11 @@ class Surface:
         A = self.skin_transforms(np.asarray(poses, np.float32))
         return skin(self.points, self.joint_index, self.joint_weight, A)
 
+    def take(self, rows: np.ndarray) -> Surface:
+        """The surface with only the points `rows` (M,), in that order."""
+        names = ("texel", "uv", "face", "barycentric", "points", "normals", "joint_index", "joint_weight", "spacing")
+        return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in names})
+
     def to_arrays(self) -> dict[str, np.ndarray]:
         """The surface as named arrays, none of them objects: fit for `np.savez` and for `from_arrays`."""
         return {field.name: np.asarray(getattr(self, field.name)) for field in dataclasses.fields(self)}
@@ -160,13 +165,20 @@ def positional_map(surface: Surface, poses: np.ndarray) -> np.ndarray:
     on where the person stands nor on where they face. Invalid texels are zero. Raises ValueError when the joints are
     not J.
     """
+    A = root_relative_transforms(surface, poses)
+    R = surface.resolution
+    batch = A.shape[:-3]
+    maps = np.zeros((*batch, R * R, 3), np.float32)
+    for index in np.ndindex(*batch):
+        maps[index][surface.texel] = skin(surface.points, surface.joint_index, surface.joint_weight, A[index])
+    return maps.reshape(*batch, R, R, 3)
+
+
+def root_relative_transforms(surface: Surface, poses: np.ndarray) -> np.ndarray:
+    """(..., J, 4, 4) float32 canonical-to-posed transforms in the frame of the root joint (see `positional_map`)."""
     poses = np.array(poses, np.float32)
     _check_poses(poses, surface.num_joints)
     poses[..., surface.root, :] = 0
     A = surface.skin_transforms(poses)
     A[..., :3, 3] -= surface.joints[surface.root].astype(np.float32)
-    R = surface.resolution
-    maps = np.zeros((*poses.shape[:-2], R * R, 3), np.float32)
-    for index in np.ndindex(*poses.shape[:-2]):
-        maps[index][surface.texel] = skin(surface.points, surface.joint_index, surface.joint_weight, A[index])
-    return maps.reshape(*poses.shape[:-2], R, R, 3)
+    return A

@@ -30,6 +30,7 @@ are turned y-up; --set motion.up=z, y or -y says which way was up where that is 
 """
 DEFAULT_SIZE, MAX_SIZE = 512, 8192
 DEFAULT_FPS = 30.0
+AUTO = "auto"
 COLORS = {"white": (1, 1, 1), "black": (0, 0, 0), "grey": (0.5, 0.5, 0.5), "gray": (0.5, 0.5, 0.5), "green": (0, 1, 0)}
 
 
@@ -80,7 +81,14 @@ def parser() -> argparse.ArgumentParser:
         help="keep frames within MS: adapts the level of detail as it plays",
     )
     work.add_argument(
-        "--uv", type=_count, metavar="R", help="level of detail: side of the atlas (default: all Gaussians)"
+        "--uv",
+        "--detail",
+        type=_detail,
+        metavar="R|auto",
+        help="level of detail: side of the atlas, or auto: by the person's size on screen (default: all Gaussians)",
+    )
+    work.add_argument(
+        "--seen-only", action="store_true", help="full and int8 decode only Gaussians that the camera can see"
     )
     work.add_argument("--reuse", type=_count, default=1, metavar="K", help="decode every K-th frame only (default: 1)")
     work.add_argument(
@@ -107,6 +115,8 @@ def main(argv: list[str] | None = None) -> int:
     from .. import native_library
     from ..avatar import Avatar
     from ..bundle import read_bundle
+    from ..detail import WORTH, uv_for_size
+    from ..framing import size_on_screen
     from ..motions import read_motion
     from ..player import build_rasterizer, play
     from ..selection import choose_tier
@@ -118,11 +128,16 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.budget_ms:
         from ..adaptive import AdaptiveAvatar
 
-        if arguments.uv or arguments.reuse > 1:
-            raise UserError("--budget-ms chooses the level of detail and the reuse: leave --uv and --reuse out")
+        if arguments.uv or arguments.reuse > 1 or arguments.seen_only:
+            raise UserError(
+                "--budget-ms chooses the level of detail and the reuse: leave --uv, --reuse and --seen-only out"
+            )
         avatar = AdaptiveAvatar(bundle, arguments.budget_ms / 1000, tier=tier, threads=arguments.threads)
     else:
-        avatar = Avatar(bundle, tier=tier, uv=arguments.uv, reuse=arguments.reuse, threads=arguments.threads)
+        how = {"tier": tier, "reuse": arguments.reuse, "seen_only": arguments.seen_only, "threads": arguments.threads}
+        avatar = Avatar(bundle, uv=None if arguments.uv == AUTO else arguments.uv, **how)
+        if arguments.seen_only and not avatar.seen_only:
+            raise UserError(f"--seen-only: {_why_not_seen_only(avatar, arguments.reuse)}")
     motion, ignored = avatar.fit(clip(motion, arguments.fps, arguments.seconds, arguments.frames))
     if arguments.ground:
         from ..grounding import grounded
@@ -130,6 +145,10 @@ def main(argv: list[str] | None = None) -> int:
         motion, _ = grounded(avatar, motion)
     rasterizer = build_rasterizer(arguments.rasterizer, options["rasterizer"], threads=arguments.threads)
     cameras = choose_cameras(arguments, avatar, motion)
+    if arguments.uv == AUTO:
+        uv = uv_for_size(avatar.surface, size_on_screen(avatar, motion, cameras))
+        if uv < WORTH * avatar.surface.resolution:
+            avatar = Avatar(bundle, uv=uv, **how)
     out = arguments.out or _default_output(arguments.avatar, motion.name)
     size = {"width": cameras[0].width, "height": cameras[0].height}
     writer = open_writer(out, **size, fps=motion.fps, background=arguments.background)
@@ -152,6 +171,7 @@ def main(argv: list[str] | None = None) -> int:
         "fps": motion.fps,
         "gaussians": len(avatar),
         "tier": tier,
+        "uv": avatar.uv,
         "rasterizer": type(rasterizer).__name__,
         "threads": arguments.threads,
         "ignored_joints": list(ignored),
@@ -168,6 +188,14 @@ def main(argv: list[str] | None = None) -> int:
     if not arguments.quiet:
         print(_table(report))
     return 0
+
+
+def _why_not_seen_only(avatar: Avatar, reuse: int) -> str:
+    if reuse > 1:
+        return "decodes that are reused are of all Gaussians: leave --reuse out"
+    if avatar.tier in ("full", "int8") and avatar.dynamic:
+        return f"{avatar.bundle.path} was written before that was possible: export it again"
+    return f"tier {avatar.tier} has nothing to leave out: it is for --tier full and int8 of an avatar with dynamics"
 
 
 def peak_memory_mb() -> float | None:
@@ -312,6 +340,10 @@ def _positive(text: str) -> float:
     if not 0 < value < 1e6:
         raise argparse.ArgumentTypeError(f"{text} is not a positive number")
     return value
+
+
+def _detail(text: str) -> int | str:
+    return AUTO if text == AUTO else _count(text)
 
 
 def _count(text: str) -> int:

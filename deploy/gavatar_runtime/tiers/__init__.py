@@ -46,9 +46,10 @@ class Parts:
         """Scales of the wanted Gaussians at the level of detail."""
         return scales if self.added is None else grown(scales, self.added)
 
-    def check(self, attributes: Attributes, member: str) -> Attributes:
-        """The attributes; UserError when `member` gave another shape than one row a Gaussian of the bundle."""
-        N = len(self.surface)
+    def check(self, attributes: Attributes, member: str, rows: int | None = None) -> Attributes:
+        """The attributes; UserError when `member` gave another shape than one row a Gaussian of the bundle, or than the
+        `rows` asked for."""
+        N = len(self.surface) if rows is None else rows
         shapes = tuple(a.shape for a in attributes)
         if shapes != ((N, 3), (N, 3), (N,)):
             found = ", ".join(map(str, shapes))
@@ -68,10 +69,13 @@ class Parts:
 
 class Tier(Protocol):
     """members: of the bundle, that it reads beside the surface. moves: whether the result depends on the pose; if not,
-    it is decoded once. stage_seconds: what the last call spent on `encode` and `decode`."""
+    it is decoded once. picks: whether it can decode some Gaussians only: then it is also called as
+    `tier(pose, rows)` with their numbers (M,) int32, and gives M. stage_seconds: what the last call spent on `encode`
+    and `decode`."""
 
     members: tuple[str, ...]
     moves: bool
+    picks: bool
     stage_seconds: dict[str, float]
 
     def __call__(self, pose: np.ndarray) -> Attributes:

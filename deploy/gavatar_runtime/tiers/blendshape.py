@@ -32,7 +32,7 @@ class Blendshape:
     are: the range of training, so that no pose can leave what was seen."""
 
     members = (MEMBER, BAKED)
-    moves = True
+    moves, picks = True, False
 
     def __init__(self, options: NoOptions, *, parts: Parts):
         arrays = parts.arrays(MEMBER, ARRAYS)

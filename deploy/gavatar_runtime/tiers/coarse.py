@@ -24,7 +24,7 @@ class Coarse:
     taken from; ratio, of fine to coarse spacing, by which residuals of the scale shrink."""
 
     members = ("encoder.onnx", DECODER, MEMBER, BAKED)
-    moves = True
+    moves, picks = True, False
 
     def __init__(self, options: NoOptions, *, parts: Parts):
         arrays = parts.arrays(MEMBER, ("index", "weight", "base", "ratio"))
@@ -35,6 +35,7 @@ class Coarse:
         self._weight = np.ascontiguousarray(parts.take(arrays["weight"]), np.float32)
         self._base = arrays["base"].astype(np.float32)
         self._ratio = float(arrays["ratio"])
+        self._decoded: list[np.ndarray] | None = None
         self._table = np.zeros((len(self._base), 8), np.float32)
         self._out = [empty(len(parts)) for _ in range(3)]
         self._calls = 0
@@ -44,8 +45,11 @@ class Coarse:
         start = perf_counter()
         features = self._encoder(pose)
         encoded = perf_counter()
-        offsets, colors, scales = self._decoder(features)
-        self._table[:, :3], self._table[:, 3:6], self._table[:, 6] = offsets, colors, scales
+        if self._decoded is None:
+            self._decoded = self._decoder(features)
+        else:
+            self._decoder(features, out=self._decoded)
+        self._table[:, :3], self._table[:, 3:6], self._table[:, 6] = self._decoded
         self._table[:, :7] -= self._base
         self._table[:, 6] *= self._ratio  # coarse points stand further apart than fine ones
         self._calls += 1

@@ -8,27 +8,42 @@ import numpy as np
 
 from ..network import Network
 from ..registry import NoOptions
-from ..surface import positional_map
+from ..residuals import Attributes, empty
+from ..skinning import skin
+from ..surface import root_relative_transforms
 from . import PLAYER_TIERS, Parts
 
 OUTPUTS = ("offsets", "colors", "scales")
 
 
 class Encoder:
-    """The pose features (1, C, M, M) of a pose."""
+    """The pose features (1, C, M, M) of a pose, in an array that the next call fills again."""
 
     def __init__(self, parts: Parts, member: str):
         self._network = Network(parts.bundle, member, ("positional_map",), ("pose_features",), parts.threads)
-        self._surface = parts.map_surface
+        surface = self._surface = parts.map_surface
+        side = surface.resolution
+        self._map = np.zeros((1, 3, side, side), np.float32)  # `surface.positional_map`, channels first
+        self._points = np.empty((len(surface), 3), np.float32)
+        self._features: np.ndarray | None = None
 
     def __call__(self, pose: np.ndarray) -> np.ndarray:
-        image = positional_map(self._surface, pose)
-        return self._network(np.ascontiguousarray(image.transpose(2, 0, 1)[None]))[0]
+        surface = self._surface
+        A = root_relative_transforms(surface, pose)
+        points = skin(surface.points, surface.joint_index, surface.joint_weight, A, self._points)
+        flat = self._map.reshape(3, -1)
+        for channel in range(3):
+            flat[channel, surface.texel] = points[:, channel]
+        if self._features is None:
+            (self._features,) = self._network(self._map)
+        else:
+            self._network(self._map, out=(self._features,))
+        return self._features
 
 
 @PLAYER_TIERS.register("full", summary="the networks as trained, float32")
 class Full:
-    """Encoder, then decoder on every Gaussian."""
+    """Encoder, then decoder on every Gaussian, or on the rows asked for."""
 
     encoder, decoder = members = "encoder.onnx", "decoder.onnx"
 
@@ -39,18 +54,58 @@ class Full:
         self._encoder = Encoder(parts, self.encoder) if self.moves else None
         inputs = ("pose_features",) if self.moves else ()
         self._decoder = Network(parts.bundle, self.decoder, inputs, OUTPUTS, parts.threads)
+        self.picks = self._decoder.picks
+        self._chosen = None if parts.chosen is None else parts.chosen.astype(np.int32)
+        self._points = parts.take(parts.surface.points)
+        self._out = [empty(len(parts)) for _ in range(3)]
+        # bundles written before `rows` decode all that they hold, and then some are taken
+        self._decoded = empty(len(parts) if self.picks or self._chosen is None else len(parts.surface))
+        self._checked = False
+        self._calls = 0
 
-    def __call__(self, pose: np.ndarray):
+    def __call__(self, pose: np.ndarray, rows: np.ndarray | None = None) -> Attributes:
         start = perf_counter()
         features = () if self._encoder is None else (self._encoder(pose),)
         encoded = perf_counter()
-        offsets, colors, scales = self._parts.check(tuple(self._decoder(*features)), self.decoder)
-        points = self._parts.surface.points + offsets
-        if self._parts.chosen is not None:
-            points, colors, scales = map(self._parts.take, (points, colors, scales))
-            scales = self._parts.grow(scales)
+        self._calls += 1
+        out = self._out[self._calls % 3]
+        if rows is not None:
+            out = tuple(array[: len(rows)] for array in out)
+        points, colors, scales = out
+        if self.picks:
+            wanted = rows if self._chosen is None or rows is None else self._chosen[rows]
+            wanted = self._chosen if wanted is None else wanted
+            offsets = self._decoded[0][: len(scales)]
+            self._run(features, wanted, (offsets, colors, scales))
+        else:
+            self._run(features, None, self._decoded)
+            offsets = self._taken(out)
+        np.add(self._points if rows is None else self._points[rows], offsets, out=points)
+        if self._parts.added is not None:
+            added = self._parts.added if rows is None else self._parts.added[rows]
+            np.sqrt(np.add(np.square(scales, out=scales), added, out=scales), out=scales)  # `detail.grown`, in place
         self.stage_seconds = {"encode": encoded - start, "decode": perf_counter() - encoded}
-        return points, colors, scales
+        return out
+
+    def _run(self, features: tuple, rows: np.ndarray | None, out: Attributes) -> None:
+        if self._checked:
+            self._decoder(*features, rows=rows, out=out)
+            return
+        decoded = self._decoder(*features, rows=rows)
+        for target, array in zip(out, self._parts.check(tuple(decoded), self.decoder, len(out[2])), strict=True):
+            target[...] = array
+        self._checked = True
+
+    def _taken(self, out: Attributes) -> np.ndarray:
+        """Fill colours and scales of `out` from what was decoded in full, and return the offsets."""
+        offsets, *rest = self._decoded
+        if self._chosen is None:
+            for target, array in zip(out[1:], rest, strict=True):
+                np.copyto(target, array)
+            return offsets
+        for target, array in zip(out, self._decoded, strict=True):
+            np.take(array, self._chosen, 0, out=target, mode="clip")
+        return out[0]
 
 
 @PLAYER_TIERS.register("int8", summary="the networks in 8-bit arithmetic, calibrated on the capture's poses")
