@@ -87,6 +87,10 @@ def STUDIES() -> dict[str, list[Variant]]:
             Variant("true masks, mask_edge 4", ["mask_edge=4", *STATIC]),
             Variant("masks too wide", STATIC, fault="wide_mask"),
             Variant("masks too wide, mask_edge 4", ["mask_edge=4", *STATIC], fault="wide_mask"),
+            Variant("masks too wide, mask_matte 5", ["mask_matte=5", *STATIC], fault="wide_mask"),
+            Variant(
+                "masks too wide, mask_matte 5, edge 2", ["mask_matte=5", "mask_edge=2", *STATIC], fault="wide_mask"
+            ),
         ],
         "unseen": [
             Variant("front only", STATIC, fault="front"),

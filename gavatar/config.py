@@ -73,7 +73,8 @@ class TrainConfig:
     or `black`. crop: render only the window in which the person moves. preview_every, checkpoint_every: steps.
     precision: of the decoder's products while training, `float32`, `bfloat16` or `auto`, the faster one here.
     overwrite: start afresh even if `out` holds another run. mask_edge: pixels inside the border of every mask that no
-    loss looks at, against the rim that masks cut too wide leave. exposure: learn a gain for every training view, where
+    loss looks at, against the rim that masks cut too wide leave; mask_matte: pixels in which the border is found anew
+    from the footage's colours, to the same end. exposure: learn a gain for every training view, where
     the footage's brightness drifts. colors_from_footage: begin with colours taken from the images instead of grey.
     fill_unseen: after stage 1, points that no training view saw take on what is around them. dynamics: `always` keeps
     what stage 2 learns; `auto` only if it gains `dynamics_gain` dB on training views held out of stage 2: else the
@@ -90,6 +91,7 @@ class TrainConfig:
     crop: bool = True
     train_split: str = "train"
     mask_edge: float = 0.0
+    mask_matte: float = 0.0
     exposure: bool = False
     colors_from_footage: bool = False
     fill_unseen: bool = False
@@ -147,8 +149,9 @@ def check(config: DictConfig) -> TrainConfig:
         loss_config(name, value)
     if typed.background not in ("random", "white", "black"):
         raise UserError(f"background must be random, white or black, not '{typed.background}'")
-    if not 0 <= typed.mask_edge < math.inf:
-        raise UserError(f"mask_edge must be a number of pixels, 0 or more, not {typed.mask_edge}")
+    for key in ("mask_edge", "mask_matte"):
+        if not 0 <= getattr(typed, key) < math.inf:
+            raise UserError(f"{key} must be a number of pixels, 0 or more, not {getattr(typed, key)}")
     check_precision(typed.precision)
     check_dynamics(typed.dynamics, typed.dynamics_gain)
     check_motion(typed.motion)

@@ -183,7 +183,14 @@ def fit_motion(
 ) -> Motion:
     """See `Evaluator.fit`."""
     capture, config, avatar = run.capture, run.config, run.avatar
-    data = footage(capture, list(views), load_full(capture, list(views)), image_scale, config.crop, config.mask_edge)
+    data = footage(
+        capture,
+        list(views),
+        load_full(capture, list(views), mask_matte=config.mask_matte),
+        image_scale,
+        config.crop,
+        config.mask_edge,
+    )
     device = avatar.features.device
     table = MotionTable(capture.motion, run.built.body.data.num_joints, config.motion.joints).to(device)
     frames = sorted({view.frame for view in views})

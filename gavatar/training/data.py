@@ -12,6 +12,7 @@ from torch import Tensor
 from gavatar_runtime.camera import Camera
 
 from ..capture import Capture, View
+from .matte import matted
 
 
 @dataclasses.dataclass
@@ -52,11 +53,21 @@ class Footage:
         )
 
 
-def load_full(capture: Capture, views: list[View], progress=iter) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Every view as (H, W, 3) uint8 premultiplied colour and (H, W) uint8 alpha, at the capture's own size."""
+def load_full(
+    capture: Capture, views: list[View], progress=iter, mask_matte: float = 0
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Every view as (H, W, 3) uint8 premultiplied colour and (H, W) uint8 alpha, at the capture's own size.
+
+    mask_matte: pixels inside a mask's border in which alpha is found anew (`matted`), where the footage shows what is
+    behind the person.
+    """
     images = []
     for view in progress(views):
-        color, alpha = capture.load(view)
+        if mask_matte > 0 and capture.background == "footage":
+            image, mask = capture.read(view)
+            color, alpha = matted(image[..., ::-1].astype(np.float32) / 255, mask.astype(np.float32) / 255, mask_matte)
+        else:
+            color, alpha = capture.load(view)
         images.append((np.round(color * 255).astype(np.uint8), np.round(alpha * 255).astype(np.uint8)))
     return images
 

@@ -105,7 +105,7 @@ class Trainer:
         if scale not in self._footage:
             if self._full is None:
                 bar = _bar(self.config.progress, "reading images", unit="image")
-                self._full = load_full(self.capture, self.views, bar)
+                self._full = load_full(self.capture, self.views, bar, self.config.mask_matte)
             self._footage = {
                 scale: footage(self.capture, self.views, self._full, scale, self.config.crop, self.config.mask_edge)
             }
