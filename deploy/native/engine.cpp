@@ -222,7 +222,7 @@ using namespace gv;
 // kept arrays, so that nothing depends on which thread did it and results are the same to the last bit.
 struct GvFrame {
   Buffer<Record> records;
-  Buffer<float> log_opacity;
+  Buffer<float> lift;
   Buffer<uint32_t> kept_index;
   Buffer<uint64_t> kept_blocks;
   Buffer<float> kept_depth;
@@ -231,7 +231,7 @@ struct GvFrame {
   bool has_opacity = false;
 
   int64_t bytes() const {
-    return (int64_t)(records.bytes() + log_opacity.bytes() + kept_index.bytes() + kept_blocks.bytes() +
+    return (int64_t)(records.bytes() + lift.bytes() + kept_index.bytes() + kept_blocks.bytes() +
                      kept_depth.bytes() + kept.capacity() * sizeof(Kept) + counts.capacity() * 8);
   }
 };
@@ -248,7 +248,7 @@ void forward(Engine& e, GvFrame& frame, const GvGaussians& gaussians, const GvCa
   Projection p = make_projection(gaussians, camera, options);
   p.records = frame.records.reserve((size_t)gaussians.count + BATCH);
   frame.has_opacity = gaussians.opacities || p.antialiased;
-  if (frame.has_opacity) p.log_opacity = frame.log_opacity.reserve((size_t)gaussians.count + BATCH);
+  if (frame.has_opacity) p.lift = frame.lift.reserve((size_t)gaussians.count + BATCH);
   size_t tiles = (size_t)p.tiles_x * p.tiles_y;
 
   constexpr int64_t PIECE = 4096;
@@ -357,7 +357,7 @@ void backward(Engine& e, GvFrame& frame, const GvGaussians& gaussians, const GvC
   double started = clock_seconds();
   Projection p = make_projection(gaussians, camera, options);
   p.records = frame.records.data();
-  p.log_opacity = frame.has_opacity ? frame.log_opacity.data() : nullptr;
+  p.lift = frame.has_opacity ? frame.lift.data() : nullptr;
   bool want_more = out.opacities || upstream.depth || p.antialiased;
   size_t tiles = frame.kept.size(), total = 0;
   std::vector<size_t> offset(tiles);

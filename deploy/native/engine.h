@@ -23,10 +23,11 @@ constexpr float FRUSTUM_MARGIN = 0.3f;
 constexpr float LOG2E = 1.4426950408889634f;
 constexpr float LOG2_255 = 7.994353436858858f;
 
-// A Gaussian on the image. The exponent of its alpha at offset (dx, dy) from (u, v) is
-// 8 (xx dx^2 + xy dx dy + yy dy^2) in powers of two; u and v count from the centre of pixel (0, 0).
+// A Gaussian on the image. Its alpha at offset (dx, dy) from (u, v) is 2^e / 255, where
+// e = lift - (x dx)^2 - (y dy + yx dx)^2: below zero where alpha is below 1/255. u and v count from the centre of pixel
+// (0, 0).
 struct Record {
-  float u, v, xx, xy, yy, r, g, b;
+  float u, v, x, y, yx, r, g, b;
 };
 
 // One (Gaussian, tile) pair: depth bits, index, range of blocks, from the top bit down; comparing entries as numbers
@@ -70,7 +71,7 @@ struct Projection {
   // Blocks of a tile by a range of columns or rows, as an entry holds it: first | last << (3 - granularity).
   uint64_t columns[64], rows[64];
   Record* records;
-  float* log_opacity;  // log2(opacity) / 8, compensation included, or null
+  float* lift;  // log2(255 opacity), compensation included, or null for LOG2_255
   EntryBlock* (*grow)(Bins*);
 };
 
