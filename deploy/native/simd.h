@@ -120,6 +120,21 @@ GV_INLINE void power(const V (&x)[N], V (&p)[N]) {
 #undef GV_STEP
 }
 
+// Four floats, on every machine.
+typedef float Four __attribute__((vector_size(16)));
+typedef int32_t FourInts __attribute__((vector_size(16)));
+GV_INLINE Four load4(const float* p) {
+  Four x;
+  __builtin_memcpy(&x, p, sizeof x);
+  return x;
+}
+GV_INLINE void store4(float* p, Four x) { __builtin_memcpy(p, &x, sizeof x); }
+#if defined(__clang__)
+#define GV_SHUFFLE4(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#else
+#define GV_SHUFFLE4(a, b, ...) __builtin_shuffle(a, b, FourInts{__VA_ARGS__})
+#endif
+
 // ---- transposition of LANES x LANES floats ----------------------------------------------------------------------
 // out[lane] is taken from a (index < LANES) or b (index - LANES).
 template <int... N>
