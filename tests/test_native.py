@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parents[1]
 built = pytest.mark.skipif(not nl.available()[0], reason=f"native kernel: {nl.available()[1]}")
 pytestmark = built
 
-# float32 sums of some hundred terms of order one, each with the kernel's relative error of 6e-7
+# float32 sums of some hundred terms of order one, each with the kernel's relative error of 2e-7
 IMAGE = 2e-5
 # the same for gradients, whose terms cancel; relative to the gradient's norm
 GRADIENT = 1e-4
