@@ -1,7 +1,7 @@
 """What each choice about appearance is worth: a capture with one planted fault, trained with and without a remedy.
 
 python benchmarks/appearance.py CAPTURE --json appearance.json           # all studies
-python benchmarks/appearance.py CAPTURE --study masks --figures docs/figures
+python benchmarks/appearance.py CAPTURE --figure docs/figures/appearance.jpg
 
 Runs are of the preset `demo` at images of half size (atlas 64, then 128), on the capture's true poses and with motion
 optimisation off, so that appearance is seen apart from pose; --estimated takes the poses as estimated and optimises
@@ -25,7 +25,7 @@ import numpy as np
 from gavatar.build import open_capture
 from gavatar.capture import Capture, View
 from gavatar.config import compose_config
-from gavatar.evaluation import evaluate
+from gavatar.evaluation import Evaluator, evaluate
 from gavatar.files import write_image, write_json
 from gavatar.registry import load_plugins
 from gavatar.reporting import format_table
@@ -88,9 +88,7 @@ def STUDIES() -> dict[str, list[Variant]]:
             Variant("masks too wide", STATIC, fault="wide_mask"),
             Variant("masks too wide, mask_edge 4", ["mask_edge=4", *STATIC], fault="wide_mask"),
             Variant("masks too wide, mask_matte 5", ["mask_matte=5", *STATIC], fault="wide_mask"),
-            Variant(
-                "masks too wide, mask_matte 5, edge 2", ["mask_matte=5", "mask_edge=2", *STATIC], fault="wide_mask"
-            ),
+            Variant("masks too wide, both", ["mask_matte=5", "mask_edge=2", *STATIC], fault="wide_mask"),
         ],
         "unseen": [
             Variant("front only", STATIC, fault="front"),
@@ -100,6 +98,8 @@ def STUDIES() -> dict[str, list[Variant]]:
             Variant("steady", STATIC, run="static"),
             Variant("flicker", STATIC, fault="flicker"),
             Variant("flicker, exposure", ["exposure=true", *STATIC], fault="flicker"),
+            Variant("drift", STATIC, fault="drift"),
+            Variant("drift, exposure", ["exposure=true", *STATIC], fault="drift"),
             Variant("steady, exposure", ["exposure=true", *STATIC]),
         ],
         "start": [
@@ -136,8 +136,14 @@ def flicker(view: View, color: np.ndarray, alpha: np.ndarray) -> tuple[np.ndarra
     return np.minimum(color * gain, alpha[..., None]) + (1 - alpha[..., None]), alpha
 
 
+def drift(view: View, color: np.ndarray, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Brightness that rises and falls by a fifth once in sixty frames, on white: no view of a side averages it out."""
+    gain = np.exp(0.2 * np.sin(2 * np.pi * view.frame / 60))
+    return np.minimum(color * gain, alpha[..., None]) + (1 - alpha[..., None]), alpha
+
+
 # what is done to a training image (premultiplied colour, alpha), and the background that the result has
-FAULTS = {"wide_mask": (wide_mask, "footage"), "flicker": (flicker, "white")}
+FAULTS = {"wide_mask": (wide_mask, "footage"), "flicker": (flicker, "white"), "drift": (drift, "white")}
 
 
 def planted(capture: Capture, folder: Path, true_poses: bool, fault: str | None) -> Path:
@@ -194,6 +200,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=500, help="of stage 1 (%(default)s)")
     parser.add_argument("--every", type=int, default=3, help="score each Nth view of a split (%(default)s)")
     parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--figure", type=Path, metavar="FILE", help="only the picture, of runs that are there")
     parser.add_argument("override", nargs="*", help="Hydra overrides for every run")
     return parser.parse_intermixed_args(argv)
 
@@ -233,11 +240,45 @@ def scored(args: argparse.Namespace, capture: Capture, directory: Path, variant:
     return row
 
 
+# of studio_male: a face at twice the trained size, a hand in a novel pose, an outline, a back that was never filmed
+PANELS = (
+    (View("cam0", 60), (75, 222, 70), [("static", True), ("static", False), ("floor", True)]),
+    (View("cam0", 160), (150, 220, 130), [("static", False), ("anisotropic", False)]),
+    (
+        View("cam0", 60),
+        (190, 90, 160),
+        [("masks_too_wide", False), ("masks_too_wide_mask_edge_4", False), ("masks_too_wide_mask_matte_5", False)],
+    ),
+    (View("cam0", 28), (75, 140, 220), [("front_only", False), ("front_only_fill_unseen", False)]),
+)
+
+
+def figure(args: argparse.Namespace, capture: Capture) -> None:
+    """A row a panel: footage, then the runs of it; where `bare`, drawn by the pixel filter alone."""
+    rows = []
+    for view, (top, left, side), runs in PANELS:
+        color, alpha = capture.load(view)
+        cells = [color + (1 - alpha[..., None])]
+        for name, bare in runs:
+            run = open_run(args.out / "true" / name)
+            run.capture, run.pixel = capture, None if bare else run.pixel
+            cells.append(Evaluator(run, progress=False).render(view, capture.truth))
+        cells = [cell[top : top + side, left : left + side] for cell in cells]
+        cells += [np.ones_like(cells[0])] * (4 - len(cells))
+        rows.append(
+            np.concatenate([cv2.resize(c, (240, 240), interpolation=cv2.INTER_NEAREST_EXACT) for c in cells], 1)
+        )
+    write_image(args.figure, np.concatenate(rows))
+
+
 @exit_cleanly
 def main(argv: list[str] | None = None) -> int:
     args = arguments(argv)
     load_plugins()
     capture = open_capture(args.capture)
+    if args.figure:
+        figure(args, capture)
+        return 0
     studies = STUDIES()
     chosen = args.study.split(",") if args.study else list(studies)
     report: dict[str, list[dict]] = {}

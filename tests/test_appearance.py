@@ -170,6 +170,7 @@ def test_no_gaussians_and_three_scales_are_served_too():
     assert as_trained(none, camera, 0.02) is none
     one = Gaussians(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.float32), np.zeros((1, 3)))
     wide = as_trained(one, camera, 0.02).scales
+    assert wide.dtype == np.float32
     np.testing.assert_allclose(wide, np.sqrt(0.3 * (0.02**2 - 0.005**2)), rtol=1e-6)
 
 

@@ -62,7 +62,8 @@ def as_trained(gaussians: Gaussians, camera: Camera, pixel: float | None) -> Gau
     sample = gaussians.means[:: max(1, len(gaussians) // 256)]
     centre = np.array([float(x) for x in sample.mean(0)])
     depth = camera.T_camera_world[2, :3] @ centre + camera.T_camera_world[2, 3]
-    missing = LOW_PASS * (pixel**2 - (2 * depth / (camera.fx + camera.fy)) ** 2)
+    # a plain float: one of NumPy's would make float32 scales float64
+    missing = float(LOW_PASS * (pixel**2 - (2 * depth / (camera.fx + camera.fy)) ** 2))
     if not (depth > 0 and missing > 0):  # written so that NaN changes nothing
         return gaussians
     return dataclasses.replace(gaussians, scales=(gaussians.scales * gaussians.scales + missing) ** 0.5)

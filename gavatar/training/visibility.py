@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from .trainer import Trainer
 
 
-def gathered(trainer: Trainer, rows: list[int], scale: float):
+def gathered(trainer: Trainer, rows: list[int], scale: float, colors: bool = True):
     """For each training view of `rows` at an image scale: (N, 3) sum over pixels of blending weight times premultiplied
-    footage, and (N,) sum of blending weight times mask, in pixels. The avatar is the static one in its present poses;
-    the order is that of `rows`.
+    footage (None without `colors`), and (N,) sum of blending weight times mask, in pixels. The avatar is the static one
+    in its present poses; the order is that of `rows`.
     """
     avatar, data = trainer.avatar, trainer.footage_at(scale)
     black = torch.zeros(3, device=trainer.device)
@@ -32,18 +32,18 @@ def gathered(trainer: Trainer, rows: list[int], scale: float):
             expression = trainer.motion.expression([data.views[row].frame])
             (gaussians,) = avatar.pose(attributes, rotations[at : at + 1], trans[at : at + 1], expression)
         color, alpha = data.batch([row], black.cpu(), trainer.device)
+        images = [alpha[0, ..., None].expand(-1, -1, 3)] + ([color[0].permute(1, 2, 0)] if colors else [])
         sums = []
-        for image in (color[0].permute(1, 2, 0), alpha[0, ..., None].expand(-1, -1, 3)):
+        for image in images:
             paint = gaussians.colors.detach().clone().requires_grad_()
             rendering = trainer.rasterize(dataclasses.replace(gaussians, colors=paint), data.cameras[row], black)
-            (gradient,) = torch.autograd.grad((rendering.color * image).sum(), paint)
-            sums.append(gradient)
-        yield sums[0], sums[1][:, 0]
+            sums += torch.autograd.grad((rendering.color * image).sum(), paint)
+        yield sums[1] if colors else None, sums[0][:, 0]
 
 
 def blending_weights(trainer: Trainer, scale: float) -> Tensor:
     """(N,) pixels of the person that each point of the avatar made, over all training views."""
     total = torch.zeros(len(trainer.avatar.surface), device=trainer.device)
-    for _, weight in gathered(trainer, list(range(len(trainer.views))), scale):
+    for _, weight in gathered(trainer, list(range(len(trainer.views))), scale, colors=False):
         total += weight
     return total
