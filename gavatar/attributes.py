@@ -7,6 +7,8 @@ from typing import Protocol
 
 from torch import Tensor
 
+from gavatar_runtime.pose_inputs import check_inputs
+
 
 @dataclasses.dataclass
 class Attributes:
@@ -37,11 +39,23 @@ class Decoder(Protocol):
 
 class Encoder(Protocol):
     """A component of the `encoder` registry: an nn.Module built as `factory(config, channels=C, map_size=None)`,
-    or None for a static avatar. `map_size` is the side of the positional map it wants.
+    or None for a static avatar. `map_size` is the side of the maps it wants.
 
-    `forward(positional_map (B, 3, M, M)) -> (B, C, M, M)` pose features, added to the learnable features.
+    `inputs`: which of `gavatar_runtime.pose_inputs.INPUTS` it looks at, by default the positional map alone (see
+    `encoder_inputs`). `forward(*inputs) -> (B, C, M, M)` pose features, added to the learnable features; positional_map
+    is (B, 3, M, M). An optional `prepare(surface, seen, *inputs)` is called once before its first training step
+    with the sampled surface of the maps, the texels that each training view shows, (V, M, M) bool, and the inputs in
+    all of these views; what it keeps belongs into buffers.
     """
 
     map_size: int
+    inputs: tuple[str, ...]
 
-    def __call__(self, positional_map: Tensor) -> Tensor: ...
+    def __call__(self, *inputs: Tensor) -> Tensor: ...
+
+
+def encoder_inputs(encoder: Encoder) -> tuple[str, ...]:
+    """Names of what an encoder looks at, one or more of `gavatar_runtime.pose_inputs.INPUTS`. UserError for another."""
+    names = tuple(getattr(encoder, "inputs", ("positional_map",)))
+    check_inputs(names, f"encoder {type(encoder).__name__}")
+    return names

@@ -90,11 +90,9 @@ class Avatar(nn.Module):
         scales = out.scales.view(B, N, *out.scales.shape[1:])
         return Attributes(out.offsets.view(B, N, 3), out.colors.view(B, N, 3), scales, rotations)
 
-    def encode(self, positional_maps: Tensor | None) -> Tensor | None:
-        """(B, 3, M, M) root-relative positional maps -> pose features, or None for a static avatar."""
-        if self.encoder is None or positional_maps is None:
-            return None
-        return self.encoder(positional_maps)
+    def encode(self, *inputs: Tensor) -> Tensor | None:
+        """The encoder's inputs (`encoder_inputs`) -> pose features, or None for a static avatar."""
+        return None if self.encoder is None else self.encoder(*inputs)
 
     def pose(
         self, attributes: Attributes, rotations: Tensor, trans: Tensor, expression: Tensor | None = None

@@ -12,9 +12,11 @@ import torch
 
 from gavatar_runtime.body import BodyData
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.pose_inputs import pose_inputs
 from gavatar_runtime.skeletons import EXPRESSIONS, HAND_DATA, fit_motion
 from gavatar_runtime.surface import Surface
 
+from .attributes import encoder_inputs
 from .avatar import Avatar, AvatarConfig
 from .body import Body, Skeleton
 from .capture import Capture
@@ -111,6 +113,12 @@ class AvatarBuild:
         if resolution not in self.canonical:
             self.canonical[resolution] = sample_surface(self.body.data, self.betas, resolution)
         return self.canonical[resolution]
+
+    def encoder_tensors(self, poses: np.ndarray) -> list[torch.Tensor]:
+        """What the avatar's encoder looks at of (B, J, 3) axis-angle poses, on the avatar's device."""
+        encoder = self.avatar.encoder
+        arrays = pose_inputs(self.surface(encoder.map_size), np.asarray(poses, np.float32), encoder_inputs(encoder))
+        return [torch.from_numpy(array).to(self.avatar.features.device) for array in arrays]
 
 
 def build_avatar(

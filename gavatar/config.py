@@ -35,7 +35,7 @@ class LevelConfig:
 class StageConfig:
     """One training stage. steps: optimiser steps (0 skips the stage). batch: views a step. lr_*: learning rates.
     lr_final: the last rate as a fraction of the first, reached by a cosine. levels: coarse to fine. In stage 2
-    the feature tensor is frozen, as published, and lr_features is not used."""
+    lr_features is 0 unless asked for: the feature tensor is frozen, as published."""
 
     steps: int = 1000
     batch: int = 4
@@ -53,7 +53,8 @@ class MotionConfig:
     first joints are corrected. sharing: seconds over which neighbouring frames are corrected alike at the start (the
     standard deviation of `gavatar.motion.shared_frames`; 0: each frame learns from its own images alone);
     sharing_final: what it narrows to at the fraction sharing_end of the stage. guard: at the end of the stage, frames
-    whose refined pose renders worse than the estimated one get their estimate back."""
+    whose refined pose renders worse than the estimated one get their estimate back. stage2: factor on both rates in
+    stage 2, 0 to leave the poses as stage 1 refined them, as published."""
 
     enabled: bool = True
     lr: float = 1.0e-2
@@ -65,6 +66,7 @@ class MotionConfig:
     sharing_final: float = 0.0
     sharing_end: float = 0.7
     guard: bool = True
+    stage2: float = 0.0
 
 
 @dataclasses.dataclass
@@ -109,7 +111,7 @@ class TrainConfig:
     avatar: AvatarConfig = dataclasses.field(default_factory=AvatarConfig)
     motion: MotionConfig = dataclasses.field(default_factory=MotionConfig)
     stage1: StageConfig = dataclasses.field(default_factory=StageConfig)
-    stage2: StageConfig = dataclasses.field(default_factory=StageConfig)
+    stage2: StageConfig = dataclasses.field(default_factory=lambda: StageConfig(lr_features=0.0))
     losses: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
@@ -160,7 +162,7 @@ def check(config: DictConfig) -> TrainConfig:
 
 def check_motion(motion: MotionConfig) -> None:
     """UserError naming the field unless every number is possible."""
-    for field in ("lr", "lr_trans", "sharing", "sharing_final", "sharing_end"):
+    for field in ("lr", "lr_trans", "sharing", "sharing_final", "sharing_end", "stage2"):
         value = getattr(motion, field)
         number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         if not number or value < 0 or (field == "sharing_end" and value > 1):

@@ -15,6 +15,7 @@ from gavatar_runtime.body import SMPL_BODY_JOINTS
 from gavatar_runtime.residuals import grouped
 from gavatar_runtime.tiers.blendshape import pose_input
 
+from .attributes import encoder_inputs
 from .tiers import TierSource, part_of_points, upsampling
 
 LENGTH_WEIGHT = 20.0  # per metre: 5 mm, about a pixel of a person 400 pixels tall, count as a tenth of the colour range
@@ -47,7 +48,9 @@ def distil(source: TierSource, *, rank: int, uv: int, samples: int, width: int, 
         coefficients[:, p, : c.shape[1]] = c
         bases[part == p, : len(basis)] = basis.reshape(len(basis), -1, 7).swapaxes(0, 1)
     del residuals
-    joints = np.arange(1, SMPL_BODY_JOINTS)
+    # the root's rotation matters where the look depends on where the person faces
+    facing = "normal_map" in encoder_inputs(source.run.avatar.encoder)
+    joints = np.arange(0 if facing else 1, SMPL_BODY_JOINTS)
     inputs = pose_input(poses, joints)
     flat = coefficients.reshape(len(poses), -1)
     layers = _fit_network(inputs, flat, len(source.train_poses), width, steps, source.progress)

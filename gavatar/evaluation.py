@@ -14,7 +14,6 @@ from gavatar_runtime.body import check_motion_fits
 from gavatar_runtime.detail import as_trained
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.skeletons import FINGERS
-from gavatar_runtime.surface import positional_map
 
 from .avatar import Avatar
 from .build import AvatarBuild, build_rasterizer
@@ -110,9 +109,7 @@ def pose_features(avatar: Avatar, built: AvatarBuild, poses: np.ndarray) -> Tens
     """Pose features of (B, J, 3) axis-angle poses, or None for a static avatar."""
     if avatar.encoder is None:
         return None
-    surface = built.surface(avatar.encoder.map_size)
-    maps = torch.from_numpy(positional_map(surface, poses.astype(np.float32))).permute(0, 3, 1, 2)
-    return avatar.encode(maps.to(avatar.features.device))
+    return avatar.encode(*built.encoder_tensors(poses))
 
 
 class Evaluator:

@@ -27,6 +27,7 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.expression import MEMBER as EXPRESSION
 from gavatar_runtime.motion import Motion
 
+from .attributes import encoder_inputs
 from .blendshapes import expression_of
 from .evaluation import pose_features
 from .graphs import OPSET, decoder_model, encoder_model
@@ -111,7 +112,8 @@ def export(
     if manifest.dynamic:
         members["encoder.onnx"] = _with_metadata(encoder_model(avatar), manifest)
         encoder_map = run.built.surface(avatar.encoder.map_size)
-    members["surface.npz"] = pack_surfaces(run.built.surface(run.uv), encoder_map)
+    sees_normals = manifest.dynamic and "normal_map" in manifest.components["encoder_inputs"]
+    members["surface.npz"] = pack_surfaces(run.built.surface(run.uv), encoder_map, sees_normals)
     joints = data.shaped(run.built.betas)[1]
     members["body.npz"] = pack_body(data.joint_names, data.parents, joints, run.built.betas, data.rest_pose, data.hands)
     expression = expression_of(data, run.built.surface(run.uv))
@@ -200,6 +202,9 @@ def _with_needs(names: Sequence[str], run: Run) -> list[str]:
 def _manifest(run: Run) -> Manifest:
     config, data = run.config, run.built.body.data
     dynamic = run.avatar.encoder is not None
+    components = {"encoder": config.encoder["name"] if dynamic else "none", "decoder": config.decoder["name"]}
+    if dynamic:
+        components["encoder_inputs"] = list(encoder_inputs(run.avatar.encoder))
     return Manifest(
         name=run.capture.name,
         gaussians=len(run.avatar.surface),
@@ -211,7 +216,7 @@ def _manifest(run: Run) -> Manifest:
             "expression": data.num_expression,
             "license": getattr(run.built.body, "license", "unknown"),
         },
-        components={"encoder": config.encoder["name"] if dynamic else "none", "decoder": config.decoder["name"]},
+        components=components,
         opset=OPSET,
         license=run.capture.license,
         training={

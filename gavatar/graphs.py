@@ -14,8 +14,10 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
+from gavatar_runtime.body import SMPL_BODY_JOINTS
 from gavatar_runtime.surface import Surface
 
+from .attributes import encoder_inputs
 from .avatar import Avatar
 from .sampling import bilinear, sample_uv
 
@@ -122,14 +124,17 @@ def to_onnx(module: nn.Module, example: tuple[Tensor, ...], inputs: list[str], o
 
 
 def encoder_model(avatar: Avatar, *, shuffle: bool = False) -> onnx.ModelProto:
-    """positional_map (1, 3, M, M) metres -> pose_features (1, C, M, M). shuffle: `subpixel` convolutions, which are
-    slower in float32 (28 ms against 18) and what 8-bit arithmetic needs: ONNX Runtime has no ConvTranspose in it."""
+    """The encoder's inputs of one pose, by name -> pose_features (1, C, M, M). shuffle: `subpixel` convolutions, which
+    are slower in float32 (28 ms against 18) and what 8-bit arithmetic needs: ONNX Runtime has no ConvTranspose in it.
+    """
     size = avatar.encoder.map_size
-    example = (torch.zeros(1, 3, size, size),)
+    names = encoder_inputs(avatar.encoder)
+    shapes = {"joint_rotations": (1, SMPL_BODY_JOINTS, 3, 3)}
+    example = tuple(torch.zeros(shapes.get(name, (1, 3, size, size))) for name in names)
     encoder = fold_batchnorm(avatar.encoder)
     if shuffle:
         encoder = subpixel(encoder)
-    return to_onnx(encoder, example, ["positional_map"], ["pose_features"])
+    return to_onnx(encoder, example, list(names), ["pose_features"])
 
 
 def decoder_model(avatar: Avatar, surface: Surface | None = None, quantize=None) -> onnx.ModelProto:

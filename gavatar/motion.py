@@ -53,9 +53,9 @@ class MotionTable(nn.Module):
         return None if self._expression is None else self._expression[frames]
 
     @torch.no_grad()
-    def motion(self, name: str = "refined") -> Motion:
-        """The corrected motion as plain arrays."""
-        rotations, trans = self()
+    def motion(self, name: str = "refined", rows: slice | list[int] = slice(None)) -> Motion:
+        """The corrected motion as plain arrays, of the given frames (all by default)."""
+        rotations, trans = self(rows)
         poses = axis_angle_from_matrix(rotations.double().cpu().numpy()).astype(np.float32)
         expression = None if self._expression is None else self._expression.cpu().numpy()
         return Motion(poses, trans.cpu().numpy(), self.fps, self.betas, name, expression=expression)

@@ -120,7 +120,7 @@ def test_a_run_killed_without_warning_resumes_to_the_same_result(capture, traine
 def test_stage_two_starts_exactly_at_the_avatar_of_stage_one(capture, tmp_path):
     trainer = run(capture, tmp_path / "r", "stage2.steps=0")
     avatar = trainer.avatar.eval()
-    features = avatar.encode(trainer.positional_maps(trainer.frames[:2]))
+    features = avatar.encode(*trainer.pose_inputs(trainer.frames[:2]))
     assert features.abs().max() == 0
     still, posed = avatar.attributes(), avatar.attributes(features)
     assert torch.equal(still.offsets[0], posed.offsets[0])

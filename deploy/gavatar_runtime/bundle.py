@@ -6,7 +6,7 @@
 | surface.npz | the places of the Gaussians, and of the encoder's positional map: `pack_surfaces` |
 | body.npz | skeleton and shape for viewers: joint_names, parents, joints, betas: `pack_body` |
 | decoder.onnx | -> offsets (N, 3), colors (N, 3), scales (N,); input pose_features (1, C, M, M) if dynamic, else none |
-| encoder.onnx | dynamic avatars only: positional_map (1, 3, M, M) -> pose_features (1, C, M, M) |
+| encoder.onnx | dynamic avatars only: any of `pose_inputs.INPUTS` -> pose_features (1, C, M, M) |
 
 Further members (cheaper tiers) may stand beside these; they are listed and checked the same way. No member holds
 pickled objects, and nothing is ever unpacked to disk.
@@ -50,11 +50,12 @@ class Manifest:
     """What a bundle says of itself.
 
     name: the avatar's. gaussians: N. dynamic: whether the look depends on the pose, so that encoder.onnx is there.
-    body: at least `model` (the body component) and `joints` (J). components: registry names of encoder and decoder.
-    opset: of the ONNX members. license: of the avatar, as the capture states it. training: a summary (capture, losses,
-    steps, metrics). export_check: the exported model's errors against the one that was trained, with their units.
-    tiers: descriptions of cheaper members with their measured error and cost. members: SHA-256 by file name, filled by
-    `write_bundle`. extra: fields of the same format version that this program does not know; they survive a rewrite.
+    body: at least `model` (the body component) and `joints` (J). components: registry names of encoder and decoder, and
+    `encoder_inputs`. opset: of the ONNX members. license: of the avatar, as the capture states it. training: a summary
+    (capture, losses, steps, metrics). export_check: the exported model's errors against the one that was trained, with
+    their units. tiers: descriptions of cheaper members with their measured error and cost. members: SHA-256 by file
+    name, filled by `write_bundle`. extra: fields of the same format version that this program does not know; they
+    survive a rewrite.
     """
 
     name: str
@@ -152,7 +153,7 @@ class Bundle:
         """Where the Gaussians sit, and the surface of the encoder's positional map (None for a static avatar).
 
         What playing does not need is not stored: there `face` is -1, `barycentric` and `spacing` are NaN; so are the
-        `normals` of the map, and of bundles written without them.
+        `normals` of a map whose encoder does not look at them, and of bundles written without them.
         """
         arrays, source = self.arrays("surface.npz"), f"{self.path}: surface.npz"
         gaussians = _unpack_surface(arrays, "gaussians_", source)
@@ -212,15 +213,18 @@ def write_bundle(path: str | os.PathLike, manifest: Manifest, members: Mapping[s
     return manifest
 
 
-def pack_surfaces(gaussians: Surface, encoder_map: Surface | None = None) -> bytes:
+def pack_surfaces(gaussians: Surface, encoder_map: Surface | None = None, map_normals: bool = False) -> bytes:
     """surface.npz: arrays `gaussians_*` and, for a dynamic avatar, `map_*`, of what playing needs of each surface:
     resolution, texel, points, joint_index, joint_weight, joints, parents, A_canonical (see `Surface`). Normals of the
-    Gaussians are stored too, as float16, where they are known."""
+    Gaussians are stored too, as float16, where they are known. map_normals: those of the map too, for an encoder that
+    looks at them."""
     arrays = _pack_surface(gaussians, "gaussians_")
     if np.isfinite(gaussians.normals).all():
         arrays["gaussians_normals"] = gaussians.normals.astype(np.float16)
     if encoder_map is not None:
         arrays |= _pack_surface(encoder_map, "map_")
+        if map_normals:
+            arrays["map_normals"] = np.asarray(encoder_map.normals, np.float32)
     return pack_arrays(arrays)
 
 

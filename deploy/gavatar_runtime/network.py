@@ -15,11 +15,12 @@ ROWS = "rows"  # an optional input: which rows are wanted, int32 (`gavatar.graph
 class Network:
     """`network(*inputs)` -> list of outputs, both in the order of the names given and checked against the member's.
 
+    inputs: None takes those that the member has, in its order; they stand in `inputs`.
     picks: whether the member has the optional input `rows`. threads: of ONNX Runtime within one operator, None for one
     a core. Raises UserError for a member that is missing, damaged, or that ONNX Runtime cannot load.
     """
 
-    def __init__(self, bundle: Bundle, member: str, inputs: tuple[str, ...], outputs: tuple[str, ...], threads):
+    def __init__(self, bundle: Bundle, member: str, inputs: tuple[str, ...] | None, outputs, threads):
         import onnxruntime  # a tenth of a second that reading a manifest need not pay
 
         options = onnxruntime.SessionOptions()
@@ -38,12 +39,13 @@ class Network:
             raise UserError(f"{bundle.path}: ONNX Runtime {version} cannot load {member}: {cause}") from error
         found = tuple(x.name for x in self._session.get_inputs())
         missing = set(outputs) - {x.name for x in self._session.get_outputs()}
+        inputs = found if inputs is None else inputs
         if found != inputs or missing:
             raise UserError(
                 f"{bundle.path}: {member} has inputs {found} and lacks outputs {sorted(missing)}, expected inputs "
                 f"{inputs} and outputs {outputs}; export the avatar again"
             )
-        self._inputs, self._outputs = inputs, list(outputs)
+        self.inputs, self._outputs = inputs, list(outputs)
         self.picks = ROWS in {x.name for x in self._session.get_overridable_initializers()}
         self._binding = self._session.io_binding()
         self._value = onnxruntime.OrtValue.ortvalue_from_numpy
@@ -53,7 +55,7 @@ class Network:
     ) -> list[np.ndarray]:
         """The outputs. rows: (M,) int32, only where it `picks`. out: contiguous float32 arrays of just the outputs'
         shapes, which are filled and returned; None for new ones."""
-        feeds = dict(zip(self._inputs, arrays, strict=True))
+        feeds = dict(zip(self.inputs, arrays, strict=True))
         if rows is not None:
             feeds[ROWS] = rows
         if out is None:

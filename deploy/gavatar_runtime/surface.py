@@ -165,13 +165,7 @@ def positional_map(surface: Surface, poses: np.ndarray) -> np.ndarray:
     on where the person stands nor on where they face. Invalid texels are zero. Raises ValueError when the joints are
     not J.
     """
-    A = root_relative_transforms(surface, poses)
-    R = surface.resolution
-    batch = A.shape[:-3]
-    maps = np.zeros((*batch, R * R, 3), np.float32)
-    for index in np.ndindex(*batch):
-        maps[index][surface.texel] = skin(surface.points, surface.joint_index, surface.joint_weight, A[index])
-    return maps.reshape(*batch, R, R, 3)
+    return _over_atlas(surface, surface.points, root_relative_transforms(surface, poses))
 
 
 def root_relative_transforms(surface: Surface, poses: np.ndarray) -> np.ndarray:
@@ -182,3 +176,29 @@ def root_relative_transforms(surface: Surface, poses: np.ndarray) -> np.ndarray:
     A = surface.skin_transforms(poses)
     A[..., :3, 3] -= surface.joints[surface.root].astype(np.float32)
     return A
+
+
+def normal_map(surface: Surface, poses: np.ndarray) -> np.ndarray:
+    """Unit normals of the posed surface as an image over the UV atlas, in the world.
+
+    poses: (..., J, 3) axis-angle, radians, the root's included; leading axes are a batch. Returns (..., R, R, 3)
+    float32. Invalid texels are zero, as is a normal that skinning cancels. Raises ValueError when the joints are not J.
+    """
+    maps = _over_atlas(surface, surface.normals, turning_transforms(surface, poses))
+    return maps / np.maximum(np.linalg.norm(maps, axis=-1, keepdims=True), 1e-6)
+
+
+def turning_transforms(surface: Surface, poses: np.ndarray) -> np.ndarray:
+    """(..., J, 4, 4) float32 canonical-to-posed transforms of directions, in the world (see `normal_map`)."""
+    A = surface.skin_transforms(np.asarray(poses, np.float32))
+    A[..., :3, 3] = 0
+    return A
+
+
+def _over_atlas(surface: Surface, vectors: np.ndarray, A: np.ndarray) -> np.ndarray:
+    """(..., R, R, 3) vectors (N, 3) of the surface's points, each skinned by transforms (..., J, 4, 4)."""
+    R = surface.resolution
+    maps = np.zeros((*A.shape[:-3], R * R, 3), np.float32)
+    for index in np.ndindex(*A.shape[:-3]):
+        maps[index][surface.texel] = skin(vectors, surface.joint_index, surface.joint_weight, A[index])
+    return maps.reshape(*A.shape[:-3], R, R, 3)

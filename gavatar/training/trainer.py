@@ -14,7 +14,6 @@ from torch import Tensor
 from tqdm import tqdm
 
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.surface import positional_map
 
 from ..build import AvatarBuild, build_avatar, build_rasterizer, capture_on_body, choose_device, open_capture
 from ..capture import View
@@ -26,6 +25,7 @@ from ..precision import mixed
 from .data import Footage, footage, load_full
 from .exposure import RATE as EXPOSURE_RATE
 from .exposure import Exposure
+from .facing import facing_texels
 from .memory import keep_freed_memory
 from .preview import as_image, side_by_side
 from .stage import background_at, batch_rows, level_at, lr_factor, sharing_width
@@ -72,7 +72,7 @@ class Trainer:
         self._frame_row = {frame: row for row, frame in enumerate(self.frames)}
         self._footage: dict[float, Footage] = {}
         self._full: list | None = None
-        self._maps: Tensor | None = None
+        self._inputs: dict[int, list[Tensor]] = {}
         self.history: list[dict[str, Any]] = []
         self.seconds = {1: 0.0, 2: 0.0}
         self.verdicts: dict[str, Any] = {}
@@ -111,14 +111,18 @@ class Trainer:
             }
         return self._footage[scale]
 
-    def positional_maps(self, frames: list[int]) -> Tensor:
-        """(B, 3, M, M) root-relative positional maps of the motion as refined by stage 1."""
-        if self._maps is None:
-            surface = self.built.surface(self.avatar.encoder.map_size)
-            motion = self.motion.motion()
-            maps = [positional_map(surface, motion.poses[frame]) for frame in self.frames]
-            self._maps = torch.from_numpy(np.stack(maps)).permute(0, 3, 1, 2).contiguous()
-        return self._maps[[self._frame_row[f] for f in frames]].to(self.device)
+    def pose_inputs(self, frames: list[int]) -> list[Tensor]:
+        """What the encoder looks at of the refined motion, (B, ...) each, without gradient; kept until `moved`."""
+        for frame in frames:
+            if frame not in self._inputs:
+                pose = self.motion.motion(rows=[frame]).poses
+                self._inputs[frame] = self.built.encoder_tensors(pose)
+        return [torch.cat(values) for values in zip(*(self._inputs[f] for f in frames), strict=True)]
+
+    def moved(self, frames: list[int]) -> None:
+        """The poses of these frames are no longer what `pose_inputs` has seen."""
+        for frame in frames:
+            self._inputs.pop(frame, None)
 
     def seen(self, rows: list[int], render: Tensor, alpha: Tensor, background: Tensor) -> Tensor:
         """Renders (B, 3, H, W) with the exposures of the training views in `rows`, where those are learnt."""
@@ -153,15 +157,18 @@ class _Stage:
         self.config: StageConfig = getattr(trainer.config, f"stage{number}")
         avatar, motion = trainer.avatar, trainer.motion
         groups = [{"params": list(avatar.decoder.parameters()), "lr": self.config.lr_decoder}]
-        if number == 1:
+        self.learns_features = number == 1 or self.config.lr_features > 0
+        if self.learns_features:
             first = [avatar.features, *avatar.smooth.parameters()]
             groups.append({"params": first, "lr": self.config.lr_features})
-        else:
+        if number == 2:
             groups.append({"params": list(avatar.encoder.parameters()), "lr": self.config.lr_encoder})
         self.base_lr = [group["lr"] for group in groups]
         self.optimizer = torch.optim.Adam(groups, fused=True)  # one pass over each parameter
         options = trainer.config.motion
-        self.moves = number == 1 and options.enabled
+        share = 1.0 if number == 1 else options.stage2
+        self.moves = options.enabled and share > 0
+        self.motion_lr = (share * options.lr, share * options.lr_trans)
         self.motion_optimizer = RowAdam(
             [
                 {"params": [motion.rotation_correction], "lr": options.lr},
@@ -172,8 +179,8 @@ class _Stage:
         self.exposure_optimizer = RowAdam(exposure, lr=EXPOSURE_RATE) if exposure and number == 1 else None
         for gain in exposure:
             gain.requires_grad_(number == 1)
-        avatar.features.requires_grad_(number == 1)
-        avatar.smooth.requires_grad_(number == 1)
+        avatar.features.requires_grad_(self.learns_features)
+        avatar.smooth.requires_grad_(self.learns_features)
         motion.requires_grad_(self.moves)
         self.held_out = held_out_rows(len(trainer.views)) if number == 2 and trainer.config.dynamics == "auto" else []
         self.rows = [row for row in range(len(trainer.views)) if row not in set(self.held_out)]
@@ -193,6 +200,8 @@ class _Stage:
         trainer.avatar.train()
         if self.number == 1 and start == 0 and steps and trainer.config.colors_from_footage:
             start_from_footage(trainer)
+        if self.number == 2 and start == 0:
+            self._prepare_encoder()
         if self.held_out and "static_errors" not in trainer.verdicts:
             trainer.avatar.sample_at(trainer.built.surface(trainer.config.stage1.levels[-1].uv))
             trainer.verdicts["static_errors"] = view_errors(trainer, self.held_out, 1).tolist()
@@ -221,11 +230,24 @@ class _Stage:
         if steps == 0:
             trainer.avatar.sample_at(trainer.built.surface(self.config.levels[-1].uv))
         if self.moves and trainer.config.motion.guard and start < steps:
-            trainer.verdicts["frames_kept_as_estimated"] = refuse_worse_poses(trainer)
+            trainer.verdicts["frames_kept_as_estimated"] = refuse_worse_poses(trainer, self.number)
         if self.number == 1 and trainer.config.fill_unseen and start < steps:
             trainer.verdicts["unseen"] = fill_unseen(trainer)
-        save_tensors(trainer.directory / self._judged(), self._avatar_state())
+        result = self._judged()
+        save_tensors(trainer.directory / result, self._avatar_state())
         self._save(steps)
+        if result == REFUSED:  # the avatar is stage 1's, and so are its poses
+            trainer.motion.load_state_dict(load_tensors(trainer.directory / STAGE_FILES[1])["motion"])
+
+    def _prepare_encoder(self) -> None:
+        trainer, prepare = self.trainer, getattr(self.trainer.avatar.encoder, "prepare", None)
+        if prepare is None:
+            return
+        views = [trainer.views[row] for row in self.rows]
+        frames, cameras = [view.frame for view in views], [trainer.capture.camera(view) for view in views]
+        surface = trainer.built.surface(trainer.avatar.encoder.map_size)
+        seen = facing_texels(surface, trainer.motion.motion(), frames, cameras).to(trainer.device)
+        prepare(surface, seen, *trainer.pose_inputs(frames))
 
     def _judged(self) -> str:
         """The file that this stage's result goes to; with dynamics=auto, not stage2.pt if it does not pay."""
@@ -284,8 +306,7 @@ class _Stage:
         factor = lr_factor(self.config, step)
         for group, lr in zip(self.optimizer.param_groups, self.base_lr, strict=True):
             group["lr"] = lr * factor
-        options = trainer.config.motion
-        for group, lr in zip(self.motion_optimizer.param_groups, (options.lr, options.lr_trans), strict=True):
+        for group, lr in zip(self.motion_optimizer.param_groups, self.motion_lr, strict=True):
             group["lr"] = lr * factor
         on_step = getattr(trainer.avatar.decoder, "on_step", None)
         if on_step is not None and self.number == 1:
@@ -309,7 +330,7 @@ class _Stage:
         total.backward()
         self.optimizer.step()
         options = config.motion
-        if self.moves and options.start <= progress <= options.end:
+        if self.moves and (self.number == 2 or options.start <= progress <= options.end):
             self._step_motion(sorted(set(frames)), progress)
         if self.exposure_optimizer is not None:
             self.exposure_optimizer.step(torch.tensor(rows, device=trainer.device))
@@ -322,14 +343,16 @@ class _Stage:
         trainer, options = self.trainer, self.trainer.config.motion
         frames = torch.tensor(trainer.frames, device=trainer.device)
         at = torch.tensor([trainer._frame_row[frame] for frame in shown], device=trainer.device)
-        rows, kernel = shared_frames(frames / trainer.motion.fps, at, sharing_width(options, progress))
+        width = sharing_width(options, progress if self.number == 1 else 1.0)
+        rows, kernel = shared_frames(frames / trainer.motion.fps, at, width)
         self.motion_optimizer.step(frames[rows], kernel)
+        trainer.moved(frames[rows].tolist())
 
     def _render(self, rows, frames, data: Footage, background, target, mask, progress: float) -> LossInputs:
         trainer, avatar = self.trainer, self.trainer.avatar
         pose_features = None
         if self.number == 2:
-            pose_features = avatar.encode(trainer.positional_maps(frames))
+            pose_features = avatar.encode(*trainer.pose_inputs(frames))
         attributes = avatar.attributes(pose_features)
         all_rotations, all_trans = trainer.motion(trainer.frames)
         at = [trainer._frame_row[f] for f in frames]
@@ -346,7 +369,7 @@ class _Stage:
             target=target,
             alpha=alpha,
             mask=mask,
-            features=avatar.features if self.number == 1 else None,
+            features=avatar.features if self.learns_features else None,
             pose_features=pose_features,
             offsets=attributes.offsets,
             scales=attributes.scales,

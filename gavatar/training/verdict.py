@@ -21,8 +21,8 @@ HELD_OUT_EVERY = 8  # with dynamics=auto, the share of training views that stage
 def view_errors(trainer: Trainer, rows: list[int], stage: int, estimated: bool = False) -> np.ndarray:
     """(V,) mean squared error on white of training views `rows`, at the stage's last image scale.
 
-    stage 2 renders with the pose encoder, 1 without. estimated: with the poses as given, not as refined. Views of
-    stage 2 use the positional maps of the refined motion.
+    stage 2 renders with the pose encoder, 1 without. estimated: with the poses as given, not as refined. The
+    encoder looks at the refined motion.
     """
     avatar, table = trainer.avatar, trainer.motion
     data = trainer.footage_at(getattr(trainer.config, f"stage{stage}").levels[-1].image)
@@ -33,7 +33,7 @@ def view_errors(trainer: Trainer, rows: list[int], stage: int, estimated: bool =
     errors = []
     for row in rows:
         frame = data.views[row].frame
-        attributes = static or avatar.attributes(avatar.encode(trainer.positional_maps([frame])))
+        attributes = static or avatar.attributes(avatar.encode(*trainer.pose_inputs([frame])))
         pose = (table.initial_rotations[[frame]], table.initial_trans[[frame]]) if estimated else table([frame])
         (gaussians,) = avatar.pose(attributes, *pose, table.expression([frame]))
         drawn = trainer.rasterize(gaussians, data.cameras[row], background.to(trainer.device))
@@ -46,18 +46,19 @@ def view_errors(trainer: Trainer, rows: list[int], stage: int, estimated: bool =
 
 
 @torch.no_grad()
-def refuse_worse_poses(trainer: Trainer) -> list[int]:
+def refuse_worse_poses(trainer: Trainer, stage: int = 1) -> list[int]:
     """Give frames whose refined pose renders worse than the estimated one their estimate back; returns those frames.
 
     Both are rendered with the avatar that training ended with. It grew on the refined poses, so a refined pose is
     given the benefit of the doubt, and only what does not even pay there is refused.
     """
     rows = list(range(len(trainer.views)))
-    gain = view_errors(trainer, rows, 1, estimated=True) - view_errors(trainer, rows, 1)
+    gain = view_errors(trainer, rows, stage, estimated=True) - view_errors(trainer, rows, stage)
     frames = np.array([view.frame for view in trainer.views])
     refused = [frame for frame in trainer.frames if gain[frames == frame].sum() < 0]
     trainer.motion.rotation_correction[refused] = 0
     trainer.motion.trans_correction[refused] = 0
+    trainer.moved(refused)
     return refused
 
 

@@ -7,11 +7,12 @@ import dataclasses
 import numpy as np
 import onnx
 
+from gavatar.attributes import encoder_inputs
 from gavatar.graphs import decoder_model, encoder_model
 from gavatar.quantization import quantized
 from gavatar.registry import TIERS
 from gavatar.tiers import TierSource
-from gavatar_runtime.surface import positional_map
+from gavatar_runtime.pose_inputs import pose_inputs
 
 
 @dataclasses.dataclass
@@ -49,8 +50,9 @@ class Int8Builder:
 
         encoder = encoder_model(avatar, shuffle=self.options.encoder)
         if self.options.encoder:
-            maps = positional_map(source.run.built.surface(avatar.encoder.map_size), poses).transpose(0, 3, 1, 2)
-            maps = np.ascontiguousarray(maps, np.float32)
-            encoder = quantized(encoder, ({"positional_map": m[None]} for m in maps), ("Conv",))
+            names = encoder_inputs(avatar.encoder)
+            inputs = pose_inputs(source.run.built.surface(avatar.encoder.map_size), poses, names)
+            rows = ({n: x[i : i + 1] for n, x in zip(names, inputs, strict=True)} for i in range(len(poses)))
+            encoder = quantized(encoder, rows, ("Conv",))
         model = decoder_model(avatar, source.surface, decoder)
         return {"decoder_int8.onnx": source.finish(model), "encoder_int8.onnx": source.finish(encoder)}

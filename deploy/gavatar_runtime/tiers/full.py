@@ -6,38 +6,35 @@ from time import perf_counter
 
 import numpy as np
 
+from ..errors import UserError
 from ..network import Network
+from ..pose_inputs import PoseInput, check_inputs
 from ..registry import NoOptions
 from ..residuals import Attributes, empty
-from ..skinning import skin
-from ..surface import root_relative_transforms
 from . import PLAYER_TIERS, Parts
 
 OUTPUTS = ("offsets", "colors", "scales")
 
 
 class Encoder:
-    """The pose features (1, C, M, M) of a pose, in an array that the next call fills again."""
+    """The pose features (1, C, M, M) of a pose, from whichever of `pose_inputs.INPUTS` the member asks for, in an array
+    that the next call fills again."""
 
     def __init__(self, parts: Parts, member: str):
-        self._network = Network(parts.bundle, member, ("positional_map",), ("pose_features",), parts.threads)
-        surface = self._surface = parts.map_surface
-        side = surface.resolution
-        self._map = np.zeros((1, 3, side, side), np.float32)  # `surface.positional_map`, channels first
-        self._points = np.empty((len(surface), 3), np.float32)
+        self._network = Network(parts.bundle, member, None, ("pose_features",), parts.threads)
+        surface, source = parts.map_surface, f"{parts.bundle.path}: {member}"
+        check_inputs(self._network.inputs, source)
+        if "normal_map" in self._network.inputs and not np.isfinite(surface.normals).all():
+            raise UserError(f"{source} wants a normal_map, and surface.npz has no map_normals; export the avatar again")
+        self._inputs = [PoseInput(name, surface) for name in self._network.inputs]
         self._features: np.ndarray | None = None
 
     def __call__(self, pose: np.ndarray) -> np.ndarray:
-        surface = self._surface
-        A = root_relative_transforms(surface, pose)
-        points = skin(surface.points, surface.joint_index, surface.joint_weight, A, self._points)
-        flat = self._map.reshape(3, -1)
-        for channel in range(3):
-            flat[channel, surface.texel] = points[:, channel]
+        inputs = [made(pose) for made in self._inputs]
         if self._features is None:
-            (self._features,) = self._network(self._map)
+            (self._features,) = self._network(*inputs)
         else:
-            self._network(self._map, out=(self._features,))
+            self._network(*inputs, out=(self._features,))
         return self._features
 
 

@@ -1,0 +1,25 @@
+"""Which texels of the body the training views show."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gavatar_runtime.camera import Camera
+from gavatar_runtime.motion import Motion
+from gavatar_runtime.surface import Surface, normal_map
+
+FACING = 0.1  # cosine from which on a camera is taken to see a texel; what it sees more aslant is a pixel or two wide
+
+
+def facing_texels(surface: Surface, motion: Motion, frames: list[int], cameras: list[Camera]) -> Tensor:
+    """(V, R, R) bool: the texels that face the camera in each of V views, a frame of `motion` by a camera each.
+
+    The camera is taken to be far: one direction serves the whole body. Texels behind a limb count as seen."""
+    out = np.zeros((len(frames), surface.resolution, surface.resolution), bool)
+    for row, (frame, camera) in enumerate(zip(frames, cameras, strict=True)):
+        direction = camera.position - (motion.trans[frame] + surface.joints[surface.root])
+        direction /= max(np.linalg.norm(direction), 1e-9)
+        out[row] = normal_map(surface, motion.poses[frame]) @ direction > FACING
+    return torch.from_numpy(out)
