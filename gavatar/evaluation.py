@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -25,6 +26,9 @@ from .metrics import joint_errors, mpjpe_hands, perceptual_metric, rotation_erro
 from .motion import MotionTable, RowAdam
 from .training.data import footage, load_full
 from .training.run import Run
+
+if TYPE_CHECKING:
+    from .dynamics_worth import DynamicsWorth
 
 WHITE = (1.0, 1.0, 1.0)
 POSES = {
@@ -301,6 +305,7 @@ class Evaluation:
     perceptual_name: str | None
     estimated_mpjpe_mm: tuple[float, float] | None = None
     estimated_parts: PartErrors = dataclasses.field(default_factory=PartErrors)
+    dynamics: DynamicsWorth | None = None
 
     def row(self, split: str, poses: str) -> SplitScore:
         """The row of a split and a source of poses; KeyError if it was not measured."""
@@ -321,6 +326,7 @@ class Evaluation:
             "train_mpjpe_before_mm": None if before is None else round(before[0], 2),
             "train_pa_mpjpe_before_mm": None if before is None else round(before[1], 2),
             **self.estimated_parts.as_json("train_", "_before"),
+            "dynamics": None if self.dynamics is None else dataclasses.asdict(self.dynamics),
             "rows": [row.as_json() for row in self.rows],
         }
 

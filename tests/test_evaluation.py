@@ -11,6 +11,7 @@ import pytest
 from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.config import compose_config
+from gavatar.dynamics_worth import DynamicsWorth, weigh_dynamics
 from gavatar.evaluation import evaluate
 from gavatar.reporting import evaluation_figure, table
 from gavatar.training.run import open_run, train
@@ -66,6 +67,32 @@ def test_fitting_held_out_poses_lowers_the_image_error(run):
     assert after > before
 
 
+def test_dynamics_are_weighed_on_held_out_frames(run, result):
+    worth = weigh_dynamics(result)
+    assert (worth.splits, worth.poses, worth.views) == (["test", "novel_pose"], "true", 2)
+    static = evaluate(open_run(run.directory, stage=1), fit_steps=0, perceptual=False, progress=False)
+    gains = [result.row(s, "true").psnr - static.row(s, "true").psnr for s in worth.splits]  # one view each
+    assert worth.gain_db == pytest.approx(np.mean(gains), abs=2e-3)  # rounded to 0.001 dB
+    assert worth.cost_ms > 0
+    assert worth.worth == (worth.gain_db >= 0.1 and worth.gain_db > 2 * worth.standard_error_db)
+    assert f"{worth.gain_db:+.2f} dB" in worth.sentence()
+    result.dynamics = worth
+    assert result.as_json()["dynamics"]["views"] == 2
+    result.dynamics = None
+    assert weigh_dynamics(static) is None
+    only_trained = evaluate(run, splits=["train"], fit_steps=0, perceptual=False, progress=False)
+    assert weigh_dynamics(only_trained) is None
+
+
+@pytest.mark.parametrize("worth", [True, False])
+def test_the_verdict_on_dynamics_says_what_to_do(worth):
+    text = DynamicsWorth(["test"], "true", 40, 0.5 if worth else 0.03, 0.04, 0.1, 21.4, worth).sentence()
+    assert "21 ms a frame" in text
+    assert ("not worth their cost" in text, "gavatar-export --stage 1" in text) == (not worth, not worth)
+    one = DynamicsWorth(["test"], "true", 1, 0.5, None, 0.1, 21.4, False).sentence()
+    assert "standard error" not in one
+
+
 def test_an_unknown_split_names_those_there_are(run):
     with pytest.raises(UserError, match="no split 'valid'"):
         evaluate(run, splits=["valid"], perceptual=False, progress=False)
@@ -80,6 +107,7 @@ def test_the_commands_run_on_a_trained_run(run, tmp_path):
     done = call("evaluate", run.directory, "--no-fit", "--splits", "test", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     assert "PSNR" in done.stdout
+    assert "dynamics gain" in done.stdout
     assert (tmp_path / "evaluation.json").exists()
     done = call("export", run.directory, "-o", tmp_path / "t.gavatar", "--stage", 1)
     assert done.returncode == 0, done.stderr

@@ -18,6 +18,7 @@ EPILOG = """examples
 Images are compared whole, composited on white, at the capture's size. The column `poses` says which poses were
 rendered: `refined` by training, `true` from the capture's ground truth, `estimated` as given in body.npz, `fitted` to
 the very images they are scored on (avatar frozen): never compare fitted rows with rows that are not.
+A run of two stages is told whether its dynamics gain what they cost on the frames held out of training.
 Writes evaluation.json and evaluation.png.
 """
 
@@ -44,6 +45,7 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
     from ..config import register_configs
+    from ..dynamics_worth import weigh_dynamics
     from ..evaluation import evaluate
     from ..reporting import evaluation_figure, table
     from ..training.run import open_run
@@ -62,6 +64,9 @@ def main(argv: list[str] | None = None) -> int:
         perceptual=not arguments.no_perceptual,
     )
     print(table(result))
+    result.dynamics = weigh_dynamics(result)
+    if result.dynamics is not None:
+        print(result.dynamics.sentence())
     result.write(out / "evaluation.json")
     evaluation_figure(result, out / "evaluation.png")
     print(f"\nwrote {out / 'evaluation.json'} and {out / 'evaluation.png'}")
