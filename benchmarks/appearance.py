@@ -102,11 +102,6 @@ def STUDIES() -> dict[str, list[Variant]]:
             Variant("drift, exposure", ["exposure=true", *STATIC], fault="drift"),
             Variant("steady, exposure", ["exposure=true", *STATIC]),
         ],
-        "start": [
-            Variant(f"{start}, {steps} steps", [f"colors_from_footage={flag}", f"stage1.steps={steps}", *STATIC])
-            for steps in (60, 150)
-            for start, flag in (("grey", "false"), ("colours of the footage", "true"))
-        ],
         "size": [
             Variant("as trained, 256 px", STATIC, run="static"),
             Variant("512 px, pixel filter alone", STATIC, run="static", image=1.0, prepare=forget_pixel),

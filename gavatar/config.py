@@ -76,9 +76,8 @@ class TrainConfig:
     precision: of the decoder's products while training, `float32`, `bfloat16` or `auto`, the faster one here.
     overwrite: start afresh even if `out` holds another run. mask_edge: pixels inside the border of every mask that no
     loss looks at, against the rim that masks cut too wide leave; mask_matte: pixels in which the border is found anew
-    from the footage's colours, to the same end. exposure: learn a gain for every training view, where
-    the footage's brightness drifts. colors_from_footage: begin with colours taken from the images instead of grey.
-    fill_unseen: after stage 1, points that no training view saw take on what is around them. dynamics: `always` keeps
+    from the footage's colours, to the same end. exposure: learn a gain for every training view, where the footage's
+    brightness drifts. fill_unseen: after stage 1, points that no training view saw take on what is around them. dynamics: `always` keeps
     what stage 2 learns; `auto` only if it gains `dynamics_gain` dB on training views held out of stage 2: else the
     avatar is static."""
 
@@ -95,7 +94,6 @@ class TrainConfig:
     mask_edge: float = 0.0
     mask_matte: float = 0.0
     exposure: bool = False
-    colors_from_footage: bool = False
     fill_unseen: bool = False
     dynamics: str = "always"
     dynamics_gain: float = 0.1

@@ -16,10 +16,9 @@ from gavatar.training.data import Footage, edge_known
 from gavatar.training.exposure import Exposure
 from gavatar.training.matte import matted
 from gavatar.training.run import open_run, train
-from gavatar.training.start import footage_colors, start_from_footage
 from gavatar.training.trainer import Trainer
 from gavatar.training.unseen import fill_unseen, harmonic
-from gavatar.training.visibility import blending_weights, gathered
+from gavatar.training.visibility import blending_weights, view_weights
 from gavatar_runtime.errors import UserError
 
 STATIC = [*(o for o in SMALL if not o.startswith("encoder")), "encoder=none", "motion.guard=false"]
@@ -207,36 +206,20 @@ def test_exposures_are_resumed_too(capture, tmp_path, monkeypatch):
 
 
 def test_blending_weights_add_up_to_the_silhouette(trainer):
-    ((color, weight),) = gathered(trainer, [2], 0.25)
+    weight = view_weights(trainer, 2, 0.25)
     data = trainer.footage_at(0.25)
     with torch.no_grad():
         (gaussians,) = trainer.avatar.pose(trainer.avatar.attributes(), *trainer.motion([data.views[2].frame]))
         drawn = trainer.rasterize(gaussians, data.cameras[2], torch.zeros(3))
-    footage, alpha = data.batch([2], torch.zeros(3), torch.device("cpu"))
-    assert float(weight.sum()) == pytest.approx(float((drawn.alpha * alpha[0]).sum()), rel=1e-4)
-    assert float(color.sum()) == pytest.approx(float((drawn.alpha * footage[0]).sum()), rel=1e-4)
+    _, mask = data.batch([2], torch.zeros(3), torch.device("cpu"))
+    # float32 sums over a few thousand pixels
+    assert float(weight.sum()) == pytest.approx(float((drawn.alpha * mask[0]).sum()), rel=1e-4)
     assert (weight >= 0).all()
-    # a point seen from the front alone is not seen from behind
+    # what one camera does not see has no weight
     assert (weight == 0).float().mean() > 0.2
-
-
-def test_training_may_begin_with_the_colours_of_the_footage(capture, tmp_path, monkeypatch):
-    monkeypatch.setattr("gavatar.training.start.STEPS", 300)  # networks of this size are slow to come off grey
-    wider = config(capture, tmp_path / "run")
-    wider.decoder.widths, wider.decoder.head_width, wider.avatar.features = [64, 64], 32, 32
-    trainer = Trainer(check(wider), tmp_path / "run")
-    trainer.avatar.sample_at(trainer.built.surface(64))
-    colors, known = footage_colors(trainer, 0.25)
-    assert known.float().mean() > 0.5
-    spread = colors[known].std(0)
-    assert (spread > 0.05).all()  # skin, shirt and jeans
-    start_from_footage(trainer)
-    with torch.no_grad():
-        out = trainer.avatar.attributes()
-    # nearer to the footage than any single colour is, still on the body, still closed
-    assert float((out.colors[0] - colors)[known].square().mean()) < 0.6 * float(colors[known].var(0).mean())
-    assert float(out.offsets.abs().max()) < 0.02
-    assert float((out.scales[0] / trainer.avatar.spacing).min()) > 0.4
+    total = blending_weights(trainer, 0.25)
+    assert (total >= weight).all()
+    assert (total == 0).float().mean() < (weight == 0).float().mean()
 
 
 def test_the_continuation_is_smooth_between_what_is_known():
@@ -271,9 +254,9 @@ def test_unseen_points_take_on_their_surroundings_and_seen_ones_stay_exactly(cap
     made.views = made.views[:1]  # one side of the person
     made.frames = [made.views[0].frame]
     made.avatar.sample_at(made.built.surface(64))
-    start_from_footage(made)
     with torch.no_grad():
-        made.avatar.features += 0.3 * torch.randn_like(made.avatar.features)  # noise where nothing will tell otherwise
+        made.avatar.features.normal_()  # noise, as it is left where no image tells otherwise
+        made.avatar.decoder.heads["color"][2].weight.normal_(std=0.5)
         before = made.avatar.attributes()
     seen = blending_weights(made, 0.25) >= 1
     report = fill_unseen(made)

@@ -29,7 +29,6 @@ from .facing import facing_texels
 from .memory import keep_freed_memory
 from .preview import as_image, side_by_side
 from .stage import background_at, batch_rows, level_at, lr_factor, sharing_width
-from .start import start_from_footage
 from .unseen import fill_unseen
 from .verdict import dynamics_verdict, held_out_rows, refuse_worse_poses, view_errors
 
@@ -198,8 +197,6 @@ class _Stage:
                 self.exposure_optimizer.load_state_dict(resume["exposure_optimizer"])
         trainer, steps = self.trainer, self.config.steps
         trainer.avatar.train()
-        if self.number == 1 and start == 0 and steps and trainer.config.colors_from_footage:
-            start_from_footage(trainer)
         if self.number == 2 and start == 0:
             self._prepare_encoder()
         if self.held_out and "static_errors" not in trainer.verdicts:
