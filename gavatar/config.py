@@ -77,9 +77,9 @@ class TrainConfig:
     overwrite: start afresh even if `out` holds another run. mask_edge: pixels inside the border of every mask that no
     loss looks at, against the rim that masks cut too wide leave; mask_matte: pixels in which the border is found anew
     from the footage's colours, to the same end. exposure: learn a gain for every training view, where the footage's
-    brightness drifts. fill_unseen: after stage 1, points that no training view saw take on what is around them. dynamics: `always` keeps
-    what stage 2 learns; `auto` only if it gains `dynamics_gain` dB on training views held out of stage 2: else the
-    avatar is static."""
+    brightness drifts. fill_unseen: after stage 1, points that no training view saw take on what is around them.
+    dynamics: `always` keeps what stage 2 learns; `auto` only if it gains `dynamics_gain` dB on training views held out
+    of stage 2: else the avatar is static."""
 
     capture: str = MISSING
     out: str = MISSING
