@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -16,7 +17,7 @@ from gavatar_runtime.gaussians import Gaussians
 from gavatar_runtime.surface import Surface
 
 from .attributes import Attributes
-from .blendshapes import expression_of
+from .blendshapes import canonical_rotations, expression_of, pose_blendshapes_of
 from .body import Skeleton
 from .sampling import Sampler
 from .skinning import can_skin_sparse, skin, skin_rotations, skin_sparse, skinning_weights
@@ -25,12 +26,14 @@ from .skinning import can_skin_sparse, skin, skin_rotations, skin_sparse, skinni
 @dataclasses.dataclass
 class AvatarConfig:
     """features: channels of the learnable tensor. feature_size: its side. smoothing: three linear 5x5 convolutions on
-    it (upstream; folded away at export). init_std: of the tensor's initial values."""
+    it (upstream; folded away at export). init_std: of the tensor's initial values. pose_blendshapes: add those of the
+    live pose to the surface points, as the body's own skin has them; the authors' code leaves them out."""
 
     features: int = 64
     feature_size: int = 128
     smoothing: bool = False
     init_std: float = 0.1
+    pose_blendshapes: bool = False
 
 
 class Avatar(nn.Module):
@@ -70,6 +73,8 @@ class Avatar(nn.Module):
         }.items():
             self.register_buffer(name, values.to(device), persistent=False)
         self._sample = Sampler(surface.uv)
+        if self.config.pose_blendshapes:
+            self._register_pose_blendshapes(surface)
 
     def attributes(self, pose_features: Tensor | None = None) -> Attributes:
         """Decode every point. pose_features: (B, C, M, M) or None -> Attributes with leading B (1 when None)."""
@@ -102,6 +107,8 @@ class Avatar(nn.Module):
         opacity 1, isotropic unless the attributes have rotations. Raises UserError for an expression that the body has
         not."""
         points, shift = self.points + attributes.offsets, None
+        if self.config.pose_blendshapes:
+            points = points + self._pose_offsets(rotations)
         if expression is not None:
             moved, shift = self._expressed(expression)
             points = points + moved
@@ -121,6 +128,26 @@ class Avatar(nn.Module):
             )
             for b, mean in enumerate((means + trans[:, None]).unbind())
         ]
+
+    def _register_pose_blendshapes(self, surface: Surface) -> None:
+        known = pose_blendshapes_of(self.skeleton.data, surface)
+        device, dtype = self.features.device, self.features.dtype
+        for name, values in {
+            "_pose_directions": known.directions.reshape(-1, known.directions.shape[2] * 3),
+            "_pose_canonical": known.canonical.reshape(-1),
+            "_corner": known.corner.astype(np.int64),
+            "_corner_weight": known.corner_weight,
+            "_canonical_turn": canonical_rotations(surface),
+        }.items():
+            kind = torch.int64 if name == "_corner" else dtype
+            self.register_buffer(name, torch.as_tensor(values, dtype=kind).to(device), persistent=False)
+
+    def _pose_offsets(self, rotations: Tensor) -> Tensor:
+        """(B, N, 3) what the pose blendshapes of local rotations (B, J, 3, 3) add to the canonical points."""
+        feature = rotations[:, 1:].flatten(1) - self._pose_canonical
+        vertices = (feature @ self._pose_directions).unflatten(1, (-1, 3))
+        parts = (vertices[:, self._corner[:, k]] * self._corner_weight[:, k, None] for k in range(3))
+        return torch.einsum("nab,...nb->...na", self._canonical_turn, sum(parts))
 
     def _expressed(self, coefficients: Tensor) -> tuple[Tensor, Tensor]:
         """What an expression (B, E) adds to the canonical points, (B, N, 3), and to the rest joints, (B, J, 3)."""

@@ -7,6 +7,7 @@ import numpy as np
 from gavatar_runtime.body import BodyData
 from gavatar_runtime.expression import Expression
 from gavatar_runtime.kinematics import moved_rest
+from gavatar_runtime.pose_blendshapes import PoseBlendshapes
 from gavatar_runtime.surface import Surface
 
 
@@ -21,6 +22,11 @@ def canonical_rotations(surface: Surface) -> np.ndarray:
     """(N, 3, 3) the linear part of what takes each point from the rest pose to the canonical one."""
     R = surface.A_canonical[:, :3, :3]
     return np.einsum("nk,nkab->nab", surface.joint_weight, R[surface.joint_index], optimize=True)
+
+
+def pose_blendshapes_of(body: BodyData, surface: Surface) -> PoseBlendshapes:
+    """The pose blendshapes of a body that has some, at the points of its surface."""
+    return PoseBlendshapes.of(body.posedirs, body.canonical_pose(), body.faces[surface.face], surface.barycentric)
 
 
 def expression_of(body: BodyData, surface: Surface) -> Expression | None:

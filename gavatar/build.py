@@ -127,6 +127,10 @@ def build_avatar(
     """An avatar of the capture's body, shaped by its betas, with freshly initialised parameters (a function of `seed`
     alone)."""
     body = build_body(body_node, capture)
+    if avatar.pose_blendshapes and body.data.posedirs is None:
+        raise UserError(
+            f"avatar.pose_blendshapes=true: body '{body.data.name}' has no pose blendshapes; leave the option out"
+        )
     betas = capture.placed(body.data).motion.betas
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

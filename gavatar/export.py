@@ -26,9 +26,10 @@ from gavatar_runtime.bundle import (
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.expression import MEMBER as EXPRESSION
 from gavatar_runtime.motion import Motion
+from gavatar_runtime.pose_blendshapes import MEMBER as POSE_BLENDSHAPES
 
 from .attributes import encoder_inputs
-from .blendshapes import expression_of
+from .blendshapes import expression_of, pose_blendshapes_of
 from .evaluation import pose_features
 from .graphs import OPSET, decoder_model, encoder_model
 from .motion import MotionTable
@@ -119,6 +120,8 @@ def export(
     expression = expression_of(data, run.built.surface(run.uv))
     if expression is not None:
         members[EXPRESSION] = pack_arrays(expression.to_arrays())
+    if avatar.config.pose_blendshapes:
+        members[POSE_BLENDSHAPES] = pack_arrays(pose_blendshapes_of(data, run.built.surface(run.uv)).to_arrays())
     source = TierSource(run, avatar.surface, lambda model: _with_metadata(model, manifest), progress)
     for name in tiers:
         members |= TIERS.build(name).build(source)
@@ -157,7 +160,7 @@ def export_front(run: Run, path: str | Path, poses: int = 8, *, uv: int | None =
         bundle = read_bundle(draft)
         members = {name: bundle.read(name) for name in bundle.manifest.members}
     kept = on_front(manifest.tiers)
-    wanted = set(manifest.required) | {EXPRESSION} | {m for tier in kept for m in tier["members"]}
+    wanted = set(manifest.required) | {EXPRESSION, POSE_BLENDSHAPES} | {m for tier in kept for m in tier["members"]}
     return write_bundle(
         path, dataclasses.replace(manifest, tiers=kept), {k: v for k, v in members.items() if k in wanted}
     )

@@ -45,7 +45,8 @@ def capture(models, tmp_path_factory):
 
 
 def trained(capture, folder, out, *overrides):
-    settings = [f"capture={capture}", f"out={out}", f"body.path={folder}", *SMALL, *overrides]
+    settings = [f"capture={capture}", f"out={out}", *SMALL, *overrides]
+    settings += [] if "body=free" in overrides else [f"body.path={folder}"]
     if "encoder=none" in overrides:
         settings = [s for s in settings if s == "encoder=none" or not s.startswith("encoder")]
     train(compose_config(settings), out)
@@ -175,6 +176,27 @@ def test_the_played_expression_is_the_trained_one(run, bundle):
     full = got[np.isin(avatar.surface.texel, coarse.surface.texel)]
     np.testing.assert_allclose(near, full, atol=1e-6)
     assert (coarse.expression.rows < len(coarse)).all()
+
+
+def test_pose_blendshapes_are_trained_exported_and_played_when_asked_for(capture, models, tmp_path, bundle):
+    small = ("avatar.pose_blendshapes=true", "encoder=none", "stage1.steps=2", "stage2.steps=0", "body.hands=mean")
+    run = trained(capture, models[0], tmp_path / "run", *small)
+    assert run.config.avatar.pose_blendshapes
+    export(run, tmp_path / "a.gavatar")
+    read = read_bundle(tmp_path / "a.gavatar")
+    assert "pose_blendshapes.npz" in read.manifest.members
+    assert "pose_blendshapes.npz" not in read_bundle(bundle).manifest.members
+    avatar, motion = Avatar(read), run.motion.motion()
+    with_it = avatar.gaussians(*motion.at(5)).means.copy()
+    # float16 directions of millimetres
+    assert np.abs(with_it - torch_gaussians(run, motion, 5).means.numpy()).max() < 2e-5
+    run.avatar.config = dataclasses.replace(run.avatar.config, pose_blendshapes=False)
+    moved = np.linalg.norm(with_it - torch_gaussians(run, motion, 5).means.numpy(), axis=1)
+    assert 1e-3 < moved.max() < 0.05  # the model's are some 8 mm
+    coarse = Avatar(read, uv=64)
+    np.testing.assert_allclose(coarse.gaussians(*motion.at(5)).means, with_it, atol=1e-6)  # trained at uv 64
+    with pytest.raises(UserError, match="body 'free' has no pose blendshapes"):
+        trained(capture, models[0], tmp_path / "free", *small[:4], "body=free")
 
 
 def test_impossible_expressions_are_refused(bundle, run, tmp_path):

@@ -17,6 +17,8 @@ from .expression import Expression
 from .folding import folded, still_joints
 from .gaussians import Gaussians
 from .motion import Motion
+from .pose_blendshapes import MEMBER as POSE_BLENDSHAPES
+from .pose_blendshapes import PoseBlendshapes, Turns
 from .residuals import empty
 from .skeletons import fit_motion, scaled_to_legs
 from .skinning import skin
@@ -64,6 +66,8 @@ class Avatar:
         self.joints = self.surface.joints
         self.joint_names, self._rest_pose, self._hands = self._read_body()
         self.expression = self._read_expression(len(stored), chosen)
+        self._pose_blendshapes = self._read_pose_blendshapes(len(stored), chosen)
+        self._turns = None if self._pose_blendshapes is None else Turns.of(self.surface)
         self.with_normals = False
         self.stage_seconds: dict[str, float] = {}
         self.tier = tier
@@ -157,6 +161,8 @@ class Avatar:
         before = perf_counter() - start
         points, colors, scales = self._decode(pose)
         decoded = perf_counter()
+        if self._pose_blendshapes is not None:
+            points = points + self._pose_blendshapes.offsets(pose, self._turns)
         if coefficients is not None:
             points = self.expression.points(points, coefficients)
         means = skin(points, surface.joint_index, surface.joint_weight, A, self._means[self._calls % 3])
@@ -175,6 +181,8 @@ class Avatar:
             points, colors, scales = empty(0)
             self._tier.stage_seconds = {"encode": 0.0, "decode": 0.0}
         decoded = perf_counter()
+        if self._pose_blendshapes is not None:
+            points = points + self._pose_blendshapes.offsets(pose, self._turns)[rows]
         if coefficients is not None:
             points = self.expression.taken(rows, len(self)).points(points, coefficients)
         means = skin(points, surface.joint_index[rows], surface.joint_weight[rows], A, means[: len(rows)])
@@ -209,16 +217,6 @@ class Avatar:
         turn[:, :3, 3] = 0
         out = self._normals[self._calls % 3]
         return skin(surface.normals, surface.joint_index, surface.joint_weight, turn, out)
-
-    def _expressed(self, points: np.ndarray, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points (N, 3) with an expression, and the shift (J, 3) of the rest joints."""
-        count = 0 if self.expression is None else self.expression.count
-        if coefficients.ndim != 1 or len(coefficients) > count:
-            raise ValueError(f"expression has shape {coefficients.shape}, this avatar has {count} coefficients")
-        if not np.isfinite(coefficients).all():
-            raise UserError("the expression is NaN or infinite")
-        coefficients = np.pad(coefficients, (0, count - len(coefficients)))
-        return self.expression.points(points, coefficients), self.expression.joints @ coefficients
 
     def _decode(self, pose: np.ndarray):
         if self._tier.moves:
@@ -275,6 +273,12 @@ class Avatar:
         source = f"{self.bundle.path}: {EXPRESSION}"
         whole = Expression.from_arrays(self.bundle.arrays(EXPRESSION), stored, self.surface.num_joints, source)
         return whole.taken(chosen, stored)
+
+    def _read_pose_blendshapes(self, stored: int, chosen: np.ndarray | None) -> PoseBlendshapes | None:
+        if POSE_BLENDSHAPES not in self.bundle.manifest.members:
+            return None
+        arrays, source = self.bundle.arrays(POSE_BLENDSHAPES), f"{self.bundle.path}: {POSE_BLENDSHAPES}"
+        return PoseBlendshapes.from_arrays(arrays, stored, self.surface.num_joints, source).taken(chosen)
 
     def _read_body(self) -> tuple[tuple[str, ...], np.ndarray | None, Hands | None]:
         """Joint names, the rest pose, None where it is zero, and hand data, None where there are none."""

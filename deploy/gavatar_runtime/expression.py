@@ -49,7 +49,8 @@ class Expression:
     def points(self, points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
         """A moved copy of points (N, 3)."""
         moved = points.copy()
-        moved[self.rows] += np.einsum("mce,e->mc", self.directions, coefficients, optimize=True)
+        by_unit = self.directions.reshape(-1, self.count)  # one product: einsum takes ten times as long
+        moved[self.rows] += (by_unit @ coefficients.astype(by_unit.dtype)).reshape(-1, 3)
         return moved
 
     def to_arrays(self) -> dict[str, np.ndarray]:

@@ -11,13 +11,14 @@ from official_bodies import dressed_free_body, write_npz
 
 from gavatar.attributes import Attributes
 from gavatar.avatar import Avatar, AvatarConfig
-from gavatar.blendshapes import at_points, canonical_rotations, expression_of
+from gavatar.blendshapes import at_points, canonical_rotations, expression_of, pose_blendshapes_of
 from gavatar.body import Skeleton
 from gavatar.body_files import FAMILIES, read_body
 from gavatar.rotations import matrix_from_axis_angle
 from gavatar.skinning import dense_weights
 from gavatar.surface import sample_surface
 from gavatar_runtime.expression import Expression
+from gavatar_runtime.pose_blendshapes import PoseBlendshapes, Turns
 from gavatar_runtime.skinning import skin
 
 lbs = pytest.importorskip("smplx.lbs").lbs
@@ -28,8 +29,11 @@ TOLERANCE = 5e-6
 
 
 def body(case, folder):
-    """SMPL-X without pose blendshapes; its own expressions, or some that move every vertex and joint by centimetres."""
-    data = read_body(FAMILIES["smplx"], write_npz(folder / "SMPLX_NEUTRAL.npz", dressed_free_body("smplx", pose_mm=0)))
+    """SMPL-X without pose blendshapes; its own expressions, or some that move every vertex and joint by centimetres. Or
+    with blendshapes of centimetres."""
+    size = 30 if case == "pose blendshapes" else 0
+    arrays = dressed_free_body("smplx", pose_mm=size)
+    data = read_body(FAMILIES["smplx"], write_npz(folder / "SMPLX_NEUTRAL.npz", arrays))
     if case == "whole body":
         rng = np.random.default_rng(1)
         centre = data.v_template[rng.integers(0, len(data.v_template), 10)]
@@ -38,7 +42,7 @@ def body(case, folder):
     return data
 
 
-@pytest.fixture(scope="module", params=["face", "whole body"])
+@pytest.fixture(scope="module", params=["face", "whole body", "pose blendshapes"])
 def scene(request, tmp_path_factory):
     data = body(request.param, tmp_path_factory.mktemp("model"))
     return data, sample_surface(data, BETAS, 96)
@@ -57,7 +61,7 @@ def theirs(data, surface, poses, expression):
     arrays = {
         "v_template": extended(np.asarray(data.v_template, np.float64)[..., None])[..., 0],
         "shapedirs": extended(np.concatenate([data.shapedirs[:, :, : len(BETAS)], data.exprdirs], 2).astype(float)),
-        "posedirs": np.zeros((9 * (data.num_joints - 1), 3 * (vertices + len(surface)))),
+        "posedirs": extended(data.posedirs.astype(np.float64)).reshape(3 * (vertices + len(surface)), -1).T,
         "J_regressor": np.pad(data.J_regressor, ((0, 0), (0, len(surface)))),
         "lbs_weights": weights,
     }
@@ -68,10 +72,17 @@ def theirs(data, surface, poses, expression):
     return points[:, vertices:].numpy()
 
 
+def avatar_of(data, surface):
+    """With no network: its points are the body's."""
+    config = AvatarConfig(features=1, feature_size=2, pose_blendshapes=bool(data.posedirs.any()))
+    avatar = Avatar(config, Skeleton(data, BETAS), None, torch.nn.Identity())
+    avatar.sample_at(surface)
+    return avatar
+
+
 def ours(data, surface, poses, expression):
     """(B, N, 3) by the avatar in training."""
-    avatar = Avatar(AvatarConfig(features=1, feature_size=2), Skeleton(data, BETAS), None, torch.nn.Identity())
-    avatar.sample_at(surface)
+    avatar = avatar_of(data, surface)
     zero = Attributes(torch.zeros(1, len(surface), 3), torch.zeros(1, len(surface), 3), torch.ones(1, len(surface)))
     rotations = matrix_from_axis_angle(torch.as_tensor(poses, dtype=torch.float32))
     sets = avatar.pose(zero, rotations, torch.zeros(len(poses), 3), torch.as_tensor(expression, dtype=torch.float32))
@@ -82,10 +93,12 @@ def played(data, surface, poses, expression):
     """(B, N, 3) as the player does it, with the directions as a bundle stores them."""
     stored = expression_of(data, surface).to_arrays()
     directions = Expression.from_arrays(stored, len(surface), data.num_joints, "expression.npz")
+    arrays = pose_blendshapes_of(data, surface).to_arrays()
+    skin_shapes = PoseBlendshapes.from_arrays(arrays, len(surface), data.num_joints, "pose_blendshapes.npz")
     out = []
     for pose, coefficients in zip(poses.astype(np.float32), expression.astype(np.float32), strict=True):
         A = surface.skin_transforms(pose, directions.joints @ coefficients)
-        points = directions.points(surface.points, coefficients)
+        points = directions.points(surface.points, coefficients) + skin_shapes.offsets(pose, Turns.of(surface))
         out.append(skin(points, surface.joint_index, surface.joint_weight, A))
     return np.stack(out)
 
@@ -113,14 +126,62 @@ def test_points_with_an_expression_are_where_smplx_puts_them(scene, angle):
     assert np.abs(ours(data, surface, poses, expression) - expected)[:, sure].max() < TOLERANCE
     # the player's directions are float16: 2^-11 of at most 4 cm, for each of ten coefficients of up to 4
     rounding = 2**-11 * np.abs(expression).sum(1).max() * np.abs(data.exprdirs).max()
+    # and of pose blendshapes, whose 27 directions about a point are rounded independently; weights of corners too
+    rounding += 2**-11 * 27 * 2 * np.abs(data.posedirs).max()
     assert np.abs(played(data, surface, poses, expression) - expected)[:, sure].max() < TOLERANCE + rounding
+
+
+def at_vertices(data):
+    """A surface whose points are the vertices."""
+    faces = np.asarray(data.faces)
+    face, corner = np.zeros(len(data.v_template), int), np.zeros(len(data.v_template), int)
+    for c in range(3):
+        face[faces[:, c]], corner[faces[:, c]] = np.arange(len(faces)), c
+    order = np.argsort(-data.lbs_weights, 1)[:, :8]
+    weight = np.take_along_axis(data.lbs_weights, order, 1)
+    posed, _ = data.posed(data.canonical_pose(), BETAS)
+    count = len(posed)
+    return dataclasses.replace(
+        sample_surface(data, BETAS, 64), texel=np.arange(count, dtype=np.int32), uv=np.zeros((count, 2), np.float32),
+        face=face.astype(np.int32), barycentric=np.eye(3, dtype=np.float32)[corner], points=posed.astype(np.float32),
+        joint_index=order.astype(np.int32), joint_weight=(weight / weight.sum(1, keepdims=True)).astype(np.float32),
+        spacing=np.ones(count, np.float32), normals=np.zeros((count, 3), np.float32),
+    )  # fmt: skip
+
+
+def test_points_on_vertices_are_smplxs_vertices(scene):
+    data, _ = scene
+    surface = at_vertices(data)
+    poses, expression = random_scene(2)
+    arrays = {
+        "v_template": data.v_template, "shapedirs": np.concatenate([data.shapedirs[:, :, :3], data.exprdirs], 2),
+        "posedirs": data.posedirs.reshape(3 * len(data.v_template), -1).T, "J_regressor": data.J_regressor,
+        "lbs_weights": data.lbs_weights,
+    }  # fmt: skip
+    arrays = {name: torch.as_tensor(np.asarray(array, np.float64)) for name, array in arrays.items()}
+    coefficients = torch.as_tensor(np.concatenate([np.tile(BETAS, (3, 1)), expression], 1))
+    parents = torch.as_tensor(np.asarray(data.parents, np.int64))
+    vertices, _ = lbs(coefficients, torch.as_tensor(poses).reshape(3, -1), parents=parents, **arrays)
+    sure = rigid(surface)
+    used = np.unique(data.faces)  # others are no surface
+    sure &= np.isin(np.arange(len(sure)), used)
+    assert sure.mean() > 0.7
+    difference = np.abs(ours(data, surface, poses, expression) - vertices.numpy())[:, sure]
+    assert difference.max() < TOLERANCE
+
+
+def test_a_canonical_pose_adds_nothing(scene):
+    data, surface = scene
+    blendshapes = pose_blendshapes_of(data, surface)
+    assert np.abs(blendshapes.offsets(data.canonical_pose().astype(np.float32), Turns.of(surface))).max() < 1e-8
+    rest = blendshapes.offsets(np.zeros((55, 3), np.float32), Turns.of(surface))
+    assert (np.abs(rest).max() > 1e-3) == bool(data.posedirs.any())
 
 
 def test_gradients_reach_the_pose_through_an_expression(scene):
     data, surface = scene
     poses, expression = random_scene(1, batch=1)
-    avatar = Avatar(AvatarConfig(features=1, feature_size=2), Skeleton(data, BETAS), None, torch.nn.Identity())
-    avatar.sample_at(surface)
+    avatar = avatar_of(data, surface)
     zero = Attributes(torch.zeros(1, len(surface), 3), torch.zeros(1, len(surface), 3), torch.ones(1, len(surface)))
     axis_angle = torch.tensor(poses, dtype=torch.float32, requires_grad=True)
     coefficients = torch.tensor(expression, dtype=torch.float32, requires_grad=True)
