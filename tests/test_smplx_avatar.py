@@ -178,6 +178,18 @@ def test_the_played_expression_is_the_trained_one(run, bundle):
     assert (coarse.expression.rows < len(coarse)).all()
 
 
+def test_what_a_camera_sees_has_the_same_face(run, bundle):
+    motion = run.motion.motion()
+    view = run.capture.camera(run.capture.views("train")[0])
+    whole, seen = Avatar(bundle), Avatar(bundle, seen_only=True)
+    full, part = whole.gaussians(*motion.at(5)).means.copy(), seen.gaussians(*motion.at(5), camera=view).means
+    if not seen.seen_only:
+        pytest.skip("the full tier of this bundle decodes all or nothing")
+    assert 0.2 * len(full) < len(part) < len(full)
+    nearest = np.abs(part[:, None] - full[None, :]).max(-1).min(1)
+    assert nearest.max() < 1e-6
+
+
 def test_pose_blendshapes_are_trained_exported_and_played_when_asked_for(capture, models, tmp_path, bundle):
     small = ("avatar.pose_blendshapes=true", "encoder=none", "stage1.steps=2", "stage2.steps=0", "body.hands=mean")
     run = trained(capture, models[0], tmp_path / "run", *small)
