@@ -13,6 +13,7 @@ from loss_inputs import motion
 from gavatar.losses import LossInputs, MotionState
 from gavatar.registry import LOSSES, load_plugins
 from gavatar.rotations import matrix_from_axis_angle, rotation_vector_from_matrix
+from gavatar_runtime.errors import UserError
 
 load_plugins()
 
@@ -38,6 +39,31 @@ def test_smoothness_is_the_squared_acceleration_at_every_frame_rate():
         times = np.arange(4 * fps + 1) / fps
         # a second difference loses (2 pi / fps)^2 / 12 of the amplitude: at 24 fps 1.2 % of its square
         assert smoothness(motion(swing(times), fps=fps)) == pytest.approx(expected, rel=0.015)
+
+
+def test_robust_smoothness_is_square_for_small_and_linear_for_large_accelerations():
+    for angle, robust in ((1e-4, 1.0), (1.0, 1e-4)):
+        poses = np.zeros((3, 1, 3))
+        poses[1, 0, 0] = angle  # one triplet; at 30 frames a second the acceleration is twice the angle
+        expected = (2 * angle) ** 2 if robust > angle else 2 * robust * 2 * angle
+        # the next term of the series is a quarter of (small / large)^2, or half of small / large: 1e-4 at most
+        assert smoothness(motion(poses), robust=robust) == pytest.approx(expected, rel=1e-4)
+    assert smoothness(motion(np.zeros((5, 2, 3))), robust=0.002) == 0
+
+
+def test_robust_smoothness_has_a_gradient_at_rest():
+    state = motion(torch.zeros(5, 2, 3))
+    state.rotations.requires_grad_()
+    LOSSES.build("motion_smoothness", {"robust": 0.002})(
+        LossInputs(render=None, target=None, alpha=None, mask=None, motion=state)
+    ).backward()
+    assert torch.isfinite(state.rotations.grad).all()
+
+
+@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
+def test_an_impossible_bend_of_the_smoothness_is_refused(value):
+    with pytest.raises(UserError, match="robust"):
+        LOSSES.build("motion_smoothness", {"robust": value})
 
 
 def test_smoothness_bears_gaps_of_held_out_frames():

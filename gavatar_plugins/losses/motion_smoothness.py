@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import torch
 from torch import Tensor
@@ -10,6 +11,7 @@ from torch import Tensor
 from gavatar.losses import LossConfig, LossInputs
 from gavatar.registry import LOSSES
 from gavatar.rotations import rotation_vector_from_matrix
+from gavatar_runtime.errors import UserError
 
 # Accelerations are stated per square thirtieth of a second: then the penalty on a jitter of a given angle at 30 frames
 # a second is about the square of that angle, and a weight means the same at every frame rate
@@ -19,11 +21,15 @@ UNIT_TIME = 1 / 30
 @dataclasses.dataclass
 class MotionSmoothnessConfig(LossConfig):
     """weight: not in the paper. translation: square radians that a square metre counts for. max_gap: seconds; three
-    frames of which two neighbours are further apart say nothing about acceleration and are left out."""
+    frames of which two neighbours are further apart say nothing about acceleration and are left out. robust: rad (m for
+    the root's path, by `translation`) per (s/30)^2 at which the penalty turns from square to linear; 0: square
+    throughout. People stand, swing and stop: most accelerations are next to none and a few are large, while an
+    estimate's jitter is the same everywhere, so a penalty that spares the few can weigh more on the many."""
 
     weight: float = 1.0
     translation: float = 1.0
     max_gap: float = 0.25
+    robust: float = 0.0
 
 
 @LOSSES.register("motion_smoothness", config=MotionSmoothnessConfig, summary="mean squared acceleration of the motion")
@@ -38,6 +44,8 @@ class MotionSmoothness:
     """
 
     def __init__(self, config: MotionSmoothnessConfig):
+        if not (math.isfinite(config.robust) and config.robust >= 0):
+            raise UserError(f"losses.motion_smoothness.robust: must be a number of at least 0, not {config.robust!r}")
         self.config = config
 
     def __call__(self, inputs: LossInputs) -> Tensor | None:
@@ -56,5 +64,11 @@ class MotionSmoothness:
         turn = rotation_vector_from_matrix(motion.rotations[:-1].mT @ motion.rotations[1:])
         spin = (turn / step[:, None, None]).diff(dim=0) / span[:, None, None]
         push = (motion.trans.diff(dim=0) / step[:, None]).diff(dim=0) / span[:, None]
-        rotation = spin.square().sum(-1).mean(1) @ weight
-        return rotation + self.config.translation * (push.square().sum(-1) @ weight)
+        rotation = self._penalty(spin.square().sum(-1)).mean(1) @ weight
+        return rotation + self._penalty(self.config.translation * push.square().sum(-1)) @ weight
+
+    def _penalty(self, squares: Tensor) -> Tensor:
+        """`squares`, growing like the root above `robust`^2 (Charbonnier): 2 c (sqrt(c^2 + a^2) - c), written so that
+        nothing cancels at a = 0."""
+        c = self.config.robust
+        return squares if c == 0 else 2 * c * squares / ((squares + c * c).sqrt() + c)
