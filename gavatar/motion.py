@@ -41,12 +41,20 @@ class MotionTable(nn.Module):
     def __len__(self) -> int:
         return len(self.initial_trans)
 
-    def forward(self, frames: Tensor | slice | list[int] = slice(None)) -> tuple[Tensor, Tensor]:
-        """Corrected (B, J, 3, 3) local rotations and (B, 3) translations of the given frames (all by default)."""
+    def forward(
+        self,
+        frames: Tensor | slice | list[int] = slice(None),
+        rotation_correction: Tensor | None = None,
+        trans_correction: Tensor | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """Corrected (B, J, 3, 3) local rotations and (B, 3) translations of the given frames (all by default), by the
+        table's own corrections or by those given."""
+        turn = self.rotation_correction if rotation_correction is None else rotation_correction
+        shift = self.trans_correction if trans_correction is None else trans_correction
         initial = self.initial_rotations[frames]
-        corrected = initial[:, : self.joints] @ matrix_from_axis_angle(self.rotation_correction[frames])
+        corrected = initial[:, : self.joints] @ matrix_from_axis_angle(turn[frames])
         rotations = torch.cat([corrected, initial[:, self.joints :]], 1)
-        return rotations, self.initial_trans[frames] + self.trans_correction[frames]
+        return rotations, self.initial_trans[frames] + shift[frames]
 
     def expression(self, frames: Tensor | slice | list[int] = slice(None)) -> Tensor | None:
         """(B, E) expression coefficients of the given frames, None of a motion without any."""
@@ -99,9 +107,12 @@ class RowAdam(torch.optim.Optimizer):
         super().__init__(parameters, {"lr": lr, "betas": betas, "eps": eps})
 
     @torch.no_grad()
-    def step(self, rows: Tensor, kernel: Tensor | None = None) -> None:  # type: ignore[override]
+    def step(  # type: ignore[override]
+        self, rows: Tensor, kernel: Tensor | None = None, own: dict[nn.Parameter, Tensor] | None = None
+    ) -> None:
         """rows: (B,) int64 distinct rows to update. kernel: (B, B) mixes the gradients of those rows before the step,
-        row i receives the sum over k of kernel[i, k] times the gradient of row k; None leaves each its own."""
+        row i receives the sum over k of kernel[i, k] times the gradient of row k; None leaves each its own. own:
+        further gradients, by parameter and in its shape, that are not mixed."""
         for group in self.param_groups:
             beta1, beta2 = group["betas"]
             for p in group["params"]:
@@ -114,6 +125,8 @@ class RowAdam(torch.optim.Optimizer):
                 g = p.grad[rows]
                 if kernel is not None:
                     g = (kernel.to(g.dtype) @ g.flatten(1)).view_as(g)
+                if own is not None and p in own:
+                    g = g + own[p][rows]
                 state["count"][rows] += 1
                 count = state["count"][rows].view(-1, *[1] * (p.dim() - 1))
                 first = state["first"][rows].lerp(g, 1 - beta1)

@@ -181,6 +181,7 @@ class _Stage:
         avatar.features.requires_grad_(self.learns_features)
         avatar.smooth.requires_grad_(self.learns_features)
         motion.requires_grad_(self.moves)
+        self.motion_leaves: dict[torch.nn.Parameter, Tensor] = {}
         self.held_out = held_out_rows(len(trainer.views)) if number == 2 and trainer.config.dynamics == "auto" else []
         self.rows = [row for row in range(len(trainer.views)) if row not in set(self.held_out)]
 
@@ -342,7 +343,8 @@ class _Stage:
         at = torch.tensor([trainer._frame_row[frame] for frame in shown], device=trainer.device)
         width = sharing_width(options, progress if self.number == 1 else 1.0)
         rows, kernel = shared_frames(frames / trainer.motion.fps, at, width)
-        self.motion_optimizer.step(frames[rows], kernel)
+        own = {p: leaf.grad for p, leaf in self.motion_leaves.items() if leaf.grad is not None}
+        self.motion_optimizer.step(frames[rows], kernel, own)
         trainer.moved(frames[rows].tolist())
 
     def _render(self, rows, frames, data: Footage, background, target, mask, progress: float) -> LossInputs:
@@ -371,16 +373,21 @@ class _Stage:
             offsets=attributes.offsets,
             scales=attributes.scales,
             progress=progress,
-            motion=self._motion_state(all_rotations, all_trans, len(set(frames))),
+            motion=self._motion_state(len(set(frames))),
         )
 
-    def _motion_state(self, rotations: Tensor, trans: Tensor, shown: int) -> MotionState | None:
-        """The motion of every training frame for the losses. Only `shown` frames learn from a step: as they share the
-        image terms among themselves, so they do the motion terms, or their weight would hang on the capture's length
-        and, with it, on its frame rate."""
+    def _motion_state(self, shown: int) -> MotionState | None:
+        """The motion of every training frame for the losses, read from leaves of its own: what images say is shared
+        between neighbours, what the motion's terms say must not be, for they tell frames from their neighbours. Only
+        `shown` frames' images are in a step and share the image terms among themselves; the motion terms are weighed
+        alike, or their weight would hang on the capture's length and, with it, on its frame rate."""
         if not self.moves:
             return None
         table, frames = self.trainer.motion, self.trainer.frames
+        self.motion_leaves = {
+            p: p.detach().requires_grad_() for p in (table.rotation_correction, table.trans_correction)
+        }
+        rotations, trans = table(frames, *self.motion_leaves.values())
         share = len(frames) / shown
         return MotionState(
             rotations=scale_gradient(rotations, share),
