@@ -47,6 +47,7 @@ class Avatar(nn.Module):
         super().__init__()
         self.config, self.skeleton = config, skeleton
         self.encoder, self.decoder = encoder, decoder
+        self.with_normals = False  # whether `pose` gives normals, for rasterizers that want them
         size = config.feature_size
         features = config.init_std * torch.randn(1, config.features, size, size)
         # a texel's channels side by side, as they are sampled
@@ -113,6 +114,7 @@ class Avatar(nn.Module):
             moved, shift = self._expressed(expression)
             points = points + moved
         transforms = self.skeleton.canonical_to_posed(rotations, shift)
+        normals = self._turned_normals(transforms) if self.with_normals else [None] * len(rotations)
         if can_skin_sparse(points):
             means = skin_sparse(points, self.joint_index, self.joint_weight, transforms)
         else:
@@ -124,7 +126,11 @@ class Avatar(nn.Module):
         scales, colors = attributes.scales.unbind(), attributes.colors.unbind()
         return [
             Gaussians(
-                mean, scales[min(b, len(scales) - 1)], colors[min(b, len(colors) - 1)], quaternions=quaternions[b]
+                mean,
+                scales[min(b, len(scales) - 1)],
+                colors[min(b, len(colors) - 1)],
+                quaternions=quaternions[b],
+                normals=normals[b],
             )
             for b, mean in enumerate((means + trans[:, None]).unbind())
         ]
@@ -148,6 +154,16 @@ class Avatar(nn.Module):
         vertices = (feature @ self._pose_directions).unflatten(1, (-1, 3))
         parts = (vertices[:, self._corner[:, k]] * self._corner_weight[:, k, None] for k in range(3))
         return torch.einsum("nab,...nb->...na", self._canonical_turn, sum(parts))
+
+    @torch.no_grad()
+    def _turned_normals(self, transforms: Tensor) -> Tensor:
+        """(B, N, 3) normals of the body's surface in the world, of length 1 or less, without gradient."""
+        turns = transforms.detach().clone()
+        turns[..., 3] = 0
+        normals = torch.as_tensor(self.surface.normals, dtype=turns.dtype, device=turns.device)[None]
+        if can_skin_sparse(normals):
+            return skin_sparse(normals, self.joint_index, self.joint_weight, turns)
+        return skin(normals, self.weights, turns)
 
     def _expressed(self, coefficients: Tensor) -> tuple[Tensor, Tensor]:
         """What an expression (B, E) adds to the canonical points, (B, N, 3), and to the rest joints, (B, J, 3)."""

@@ -133,6 +133,7 @@ class Evaluator:
         self.run, self.perceptual, self.progress, self.device = run, perceptual, progress, torch.device(device)
         run.avatar.to(self.device)
         self.rasterize = build_rasterizer(run.config.rasterizer)
+        run.avatar.with_normals = getattr(self.rasterize, "wants_normals", False)
         self._static = None
         if run.avatar.encoder is None:
             with torch.no_grad():

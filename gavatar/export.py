@@ -27,6 +27,7 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.expression import MEMBER as EXPRESSION
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.pose_blendshapes import MEMBER as POSE_BLENDSHAPES
+from gavatar_runtime.rasterizers import SWITCHES
 
 from .attributes import encoder_inputs
 from .blendshapes import expression_of, pose_blendshapes_of
@@ -232,6 +233,7 @@ def _manifest(run: Run) -> Manifest:
             "seed": config.seed,
             "pixel_m": run.pixel,
         },
+        rasterizer={name: config.rasterizer[name] for name in SWITCHES if config.rasterizer.get(name)},
     )
 
 

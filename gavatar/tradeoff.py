@@ -77,12 +77,13 @@ class Choice:
     def open(self, bundle: Bundle, threads: int | None = None) -> Avatar:
         return Avatar(bundle, tier=self.tier, uv=self.uv, reuse=self.reuse, seen_only=self.seen_only, threads=threads)
 
-    def rasterizer(self, threads: int | None = None):
-        """The native rasterizer where it is there to be used, else NumPy's, which knows none of its switches."""
+    def rasterizer(self, threads: int | None = None, trained: dict | None = None):
+        """The native rasterizer where it is there to be used, else NumPy's, which knows none of its switches. trained:
+        those of the bundle's manifest."""
         try:
-            return build_rasterizer("native", self.switches, threads=threads)
+            return build_rasterizer("native", self.switches, threads=threads, trained=trained)
         except UserError:
-            return build_rasterizer("numpy")
+            return build_rasterizer("numpy", trained=trained)
 
 
 @dataclasses.dataclass
@@ -160,7 +161,7 @@ def measure_speed(
     row: Row, bundle: Bundle, motion: Motion, camera: Camera, threads: int | None = None, budget_s: float = 12.0
 ) -> None:
     """Fill in fps and stages over the motion; slow choices see as many of its first frames as `budget_s` allows."""
-    avatar, rasterizer = row.choice.open(bundle, threads), row.choice.rasterizer(threads)
+    avatar, rasterizer = row.choice.open(bundle, threads), row.choice.rasterizer(threads, bundle.manifest.rasterizer)
     avatar.with_normals = getattr(rasterizer, "wants_normals", False)
     start = perf_counter()
     for i in range(2):
@@ -188,7 +189,7 @@ def psnr(image: np.ndarray, reference: np.ndarray) -> float:
 def images(choice: Choice, bundle: Bundle, motion: Motion, frames: Sequence[int], cameras: Sequence[Camera]):
     """Images of a choice at `frames` of a motion, each with its camera. Where decodes are reused, the frames before
     are played too, as they would be."""
-    avatar, rasterizer = choice.open(bundle), choice.rasterizer()
+    avatar, rasterizer = choice.open(bundle), choice.rasterizer(trained=bundle.manifest.rasterizer)
     avatar.with_normals = getattr(rasterizer, "wants_normals", False)
     result, at = [], 0
     for frame, camera in zip(frames, cameras, strict=True):

@@ -16,9 +16,11 @@ from gavatar.config import compose_config
 from gavatar.export import export, torch_gaussians
 from gavatar.graphs import fold_batchnorm
 from gavatar.training.run import open_run, train
+from gavatar_runtime import native_library
 from gavatar_runtime.avatar import Avatar as PlayedAvatar
 from gavatar_runtime.bundle import read_bundle
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.player import build_rasterizer
 
 VARIANTS = {
     "mlp and unet": [],
@@ -65,6 +67,19 @@ def test_the_played_avatar_is_the_trained_one(runs, variant, tmp_path):
         assert np.abs(got.scales - expected.scales.numpy()).max() < 1e-6
     assert manifest.export_check["position_m"] < 1e-5
     assert manifest.export_check["poses"] == 6  # as many as there are training frames
+
+
+def test_the_manifest_keeps_the_switches_that_the_avatar_was_trained_with(runs, tmp_path, monkeypatch):
+    run = runs["static"]
+    assert export(run, tmp_path / "plain.gavatar").rasterizer == {}
+    trained = {"name": "native", "threads": 1, "antialiased": True, "fast": False, "resolution": 0.5}
+    monkeypatch.setattr(run.config, "rasterizer", trained)
+    assert export(run, tmp_path / "a.gavatar").rasterizer == {"antialiased": True}
+    switches = read_bundle(tmp_path / "a.gavatar").manifest.rasterizer
+    for name in ("native", "numpy"):
+        if name == "numpy" or native_library.available()[0]:
+            assert build_rasterizer(name, trained=switches).config.antialiased
+            assert not build_rasterizer(name, {"antialiased": False}, trained=switches).config.antialiased
 
 
 def test_onnx_members_state_opset_and_metadata_and_hold_no_batchnorm(runs, tmp_path):

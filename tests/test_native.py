@@ -25,6 +25,7 @@ from gavatar_runtime import kinematics
 from gavatar_runtime import native_library as nl
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.gaussians import Gaussians
+from gavatar_runtime.player import player_rasterizers
 from gavatar_runtime.rasterizers.native import NativeConfig
 from gavatar_runtime.rasterizers.native import NativeRasterizer as Player
 from gavatar_runtime.rasterizers.rules import LOW_PASS
@@ -150,6 +151,59 @@ def test_a_switch_changes_the_picture_by_no_more_than_is_documented(options, lea
     assert least < psnr(player.render(scene, camera).color, exact) < 100
     rounded = psnr(exact, np.round(255 * exact) / 255)
     assert min(least, rounded) - 2 < psnr(player.render_uint8(scene, camera) / 255.0, exact) < 100
+
+
+SWITCHES = ({"fast": True}, {"backface": 0.3}, {"depth_cut": 0.3}, {"resolution": 0.6}, {"antialiased": True})
+
+
+@pytest.mark.parametrize("options", SWITCHES)
+def test_training_with_a_switch_draws_what_the_player_draws(options):
+    scene, camera = as_numpy(body_scene(20000)), body_camera(150, 130)
+    tensors = dataclasses.replace(as_torch(scene), normals=torch.as_tensor(scene.normals))
+    mine = Trainer(NativeRasterizerConfig(**options))(tensors, camera)
+    plain = Trainer()(tensors, camera)
+    assert psnr(mine.color.numpy(), plain.color.numpy()) < 100
+    played = Player(NativeConfig(**options)).render(scene, camera)
+    for a, b in zip(images(mine), images(played), strict=True):
+        # torch and OpenCV enlarge with weights of their own rounding
+        np.testing.assert_allclose(a, b, atol=2e-4 if "resolution" in options else 0, rtol=0)
+
+
+@pytest.mark.parametrize("isa", nl.instruction_sets() if nl.available()[0] else [])
+@pytest.mark.parametrize("options", SWITCHES)
+def test_gradients_with_a_switch_are_those_of_the_picture_that_was_drawn(isa, options):
+    nl.use_instruction_set(isa)
+    scene, camera = as_numpy(body_scene(20000)), body_camera(150, 130)
+    tensors = dataclasses.replace(
+        map_fields(as_torch(scene), lambda x: x.requires_grad_()), normals=torch.as_tensor(scene.normals)
+    )
+    rendering = Trainer(NativeRasterizerConfig(**options))(tensors, camera, (0.0, 0.0, 0.0))
+    upstream = torch.rand(rendering.color.shape, generator=torch.Generator().manual_seed(0))
+    colors, scales = torch.autograd.grad(rendering.color, (tensors.colors, tensors.scales), upstream)
+    # the picture is linear in the colors: a Gaussian or a pixel that forward and backward treat otherwise would show
+    drawn, replayed = (rendering.color * upstream).sum(), (colors * tensors.colors).sum()
+    torch.testing.assert_close(replayed, drawn, rtol=3e-5, atol=0)
+    assert scales.isfinite().all()
+    assert scales.abs().sum() > 0
+
+
+def test_the_backward_of_a_fast_forward_is_nearly_the_exact_one():
+    scene, camera = as_numpy(random_scene(6, 400, opacity=True)), simple_camera(90, 70)
+    exact, fast = (gradients(Trainer(NativeRasterizerConfig(fast=f)), scene, camera) for f in (False, True))
+    for name in ("means", "scales", "colors", "opacities"):
+        # 7.5e-5 relative in each alpha, and an end of blocks at 4e-3 of transmittance
+        assert np.linalg.norm(fast[name] - exact[name]) < 5e-3 * np.linalg.norm(exact[name]), name
+
+
+def test_numpy_draws_antialiased_as_native_does():
+    for seed, kind in ((3, {}), (4, {"opacity": True}), (5, {"isotropic": False})):
+        scene, camera = as_numpy(random_scene(seed, 150, scale=0.012, **kind)), simple_camera(75, 51, cx=30.0)
+        plain = player_rasterizers().build("numpy").render(scene, camera).color
+        mine = player_rasterizers().build("numpy", {"antialiased": True}).render(scene, camera)
+        assert np.abs(mine.color - plain).max() > 0.01
+        native = Player(NativeConfig(antialiased=True)).render(scene, camera)
+        for a, b in zip(images(mine), images(native), strict=True):
+            np.testing.assert_allclose(a, b, atol=3 * IMAGE)
 
 
 def test_backfaces_are_left_out_only_where_there_are_normals_and_a_switch():

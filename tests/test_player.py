@@ -365,6 +365,8 @@ def test_a_rasterizer_that_takes_threads_is_given_them_and_others_are_not(monkey
     assert build_rasterizer("many", threads=3).threads == 3
     assert build_rasterizer("many", {"threads": 2}, threads=3).threads == 2
     assert isinstance(build_rasterizer("numpy", threads=3), Plain)
+    assert build_rasterizer("many", trained={"threads": 4, "fast": True}).threads == 4  # of a manifest: what it knows
+    assert build_rasterizer("many", {"threads": 2}, trained={"threads": 4}).threads == 2
     monkeypatch.setattr(native_library, "available", lambda: (False, "the native kernel is not built"))
     assert isinstance(build_rasterizer("auto"), Plain)
     with pytest.raises(UserError, match="not built"):

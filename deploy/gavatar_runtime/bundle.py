@@ -52,7 +52,8 @@ class Manifest:
     name: the avatar's. gaussians: N. dynamic: whether the look depends on the pose, so that encoder.onnx is there.
     body: at least `model` (the body component) and `joints` (J). components: registry names of encoder and decoder, and
     `encoder_inputs`. opset: of the ONNX members. license: of the avatar, as the capture states it. training: a summary
-    (capture, losses, steps, metrics). export_check: the exported model's errors against the one that was trained, with
+    (capture, losses, steps, metrics). rasterizer: the switches of `rasterizers.SWITCHES` that the avatar was trained
+    with, and is played with therefore. export_check: the exported model's errors against the one that was trained, with
     their units. tiers: descriptions of cheaper members with their measured error and cost. members: SHA-256 by file
     name, filled by `write_bundle`. extra: fields of the same format version that this program does not know; they
     survive a rewrite.
@@ -66,6 +67,7 @@ class Manifest:
     opset: int
     license: str = ""
     training: dict[str, Any] = dataclasses.field(default_factory=dict)
+    rasterizer: dict[str, Any] = dataclasses.field(default_factory=dict)
     export_check: dict[str, Any] = dataclasses.field(default_factory=dict)
     tiers: list[dict[str, Any]] = dataclasses.field(default_factory=list)
     units: dict[str, str] = dataclasses.field(default_factory=lambda: dict(UNITS))
@@ -115,8 +117,8 @@ class Manifest:
 
 _KINDS = {
     "name": str, "gaussians": int, "dynamic": bool, "body": dict, "components": dict, "opset": int, "license": str,
-    "training": dict, "export_check": dict, "tiers": list, "units": dict, "created_by": str, "members": dict,
-    "extra": dict,
+    "training": dict, "rasterizer": dict, "export_check": dict, "tiers": list, "units": dict, "created_by": str,
+    "members": dict, "extra": dict,
 }  # fmt: skip
 _NEEDED = ("name", "gaussians", "dynamic", "body", "components", "opset", "members")
 

@@ -160,10 +160,17 @@ class _Inline:
         return future
 
 
-def build_rasterizer(name: str = "auto", options: Mapping[str, Any] | None = None, *, threads: int | None = None):
+def build_rasterizer(
+    name: str = "auto",
+    options: Mapping[str, Any] | None = None,
+    *,
+    threads: int | None = None,
+    trained: Mapping[str, Any] | None = None,
+):
     """The player's rasterizer `name`; `auto` is the native one where it is there to be used, else the NumPy one.
 
-    threads: passed on to a rasterizer that has such an option. Raises UserError for an unknown name or option.
+    threads, trained: passed on to a rasterizer that has such options; `options` come before them. trained: the switches
+    of a bundle's manifest, so that it is drawn as it was trained. Raises UserError for an unknown name or option.
     """
     registry = player_rasterizers()
     if name == "auto":  # chosen by what is there, so that a mistaken option of the native one is still its own error
@@ -171,8 +178,8 @@ def build_rasterizer(name: str = "auto", options: Mapping[str, Any] | None = Non
     if name not in registry:
         load_entry_points()
     fields = {field.name for field in dataclasses.fields(registry[name].config)}
-    given = {"threads": threads} if threads is not None and "threads" in fields else {}
-    return registry.build(name, {**given, **(options or {})})
+    given = {**(trained or {}), **({} if threads is None else {"threads": threads})}
+    return registry.build(name, {**{k: v for k, v in given.items() if k in fields}, **(options or {})})
 
 
 def player_rasterizers() -> Registry:

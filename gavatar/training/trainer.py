@@ -62,6 +62,7 @@ class Trainer:
         )
         self.capture = capture_on_body(self.capture, self.built.body.data)
         self.avatar = self.built.avatar.to(self.device)
+        self.avatar.with_normals = getattr(self.rasterize, "wants_normals", False)
         self.avatar.mixed_precision = mixed(config.precision, self.avatar.decoder, self.device)
         self.motion = MotionTable(
             self.capture.motion, self.built.body.data.num_joints, config.motion.joints

@@ -14,6 +14,7 @@ from gavatar_runtime import native_library as nl
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.gaussians import Gaussians, Rendering
+from gavatar_runtime.rasterizers.native import FAST_BLOCK_STOP, check_switches, reduced
 from gavatar_runtime.rasterizers.rules import TRANSMITTANCE_STOP
 
 SPARE_FRAMES = 16  # frames whose memory waits for the next forward; a batch has fewer
@@ -22,11 +23,22 @@ SPARE_FRAMES = 16  # frames whose memory waits for the next forward; a batch has
 @dataclasses.dataclass
 class NativeRasterizerConfig:
     """threads: of the kernel's pool, 0 for as many as the process has cores (the pool is shared by the process).
-    antialiased: as in the player's options; gradients flow through the compensation.
+
+    What follows changes the picture, as in the player's options of the same names (docs/splatting.md); gradients are
+    those of the picture that was drawn. fast: a cheaper exponential and an earlier end of blocks. backface: a cosine,
+    0 for off. depth_cut: metres, 0 for off. resolution: part of width and height that is drawn, then enlarged. A bundle
+    keeps them and is played with them (`rasterizers.SWITCHES`), all but `resolution`.
     """
 
     threads: int = 0
+    fast: bool = False
+    backface: float = 0.0
+    depth_cut: float = 0.0
+    resolution: float = 1.0
     antialiased: bool = False
+
+    def __post_init__(self):
+        check_switches(self)
 
 
 @RASTERIZERS.register(
@@ -52,13 +64,22 @@ class NativeRasterizer:
         self._spare: list[nl.Frame] = []
         self.stage_seconds: dict[str, float] = {}
 
+    @property
+    def wants_normals(self) -> bool:
+        """Whether `Gaussians.normals` would be of use."""
+        return self.config.backface > 0
+
     def __call__(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
         fields = _checked(gaussians)
         background = torch.as_tensor(background, dtype=torch.float32)
         report = nl.ReportStruct()
         inputs = (*fields, background)
         keep = torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in inputs)
-        color, alpha, depth = _Splat.apply(*inputs, camera, self, report, keep)
+        normals = _checked_normals(gaussians) if self.wants_normals else None
+        small = reduced(camera, self.config.resolution)
+        color, alpha, depth = _Splat.apply(*inputs, normals, small, self, report, keep)
+        if small is not camera:
+            color, alpha, depth = _enlarged(color, alpha, depth, camera)
         self.stage_seconds = {"project": report.project_s, "sort": report.sort_s, "blend": report.blend_s}
         return Rendering(color, alpha, depth, dropped=report.dropped)
 
@@ -95,6 +116,25 @@ def _checked(gaussians: Gaussians) -> list[Tensor | None]:
     return fields
 
 
+def _checked_normals(gaussians: Gaussians) -> Tensor | None:
+    normals = gaussians.normals
+    if normals is None:
+        return None
+    if tuple(normals.shape) != tuple(gaussians.means.shape):
+        raise ValueError(
+            f"gaussians.normals: expected shape {tuple(gaussians.means.shape)}, got {tuple(normals.shape)}"
+        )
+    return normals.detach().to("cpu", torch.float32).contiguous()
+
+
+def _enlarged(color: Tensor, alpha: Tensor, depth: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+    """The images at the camera's size, linearly, as cv2.resize does it."""
+    images = torch.cat((color, alpha[..., None], depth[..., None]), -1).permute(2, 0, 1)[None]
+    large = torch.nn.functional.interpolate(images, (camera.height, camera.width), mode="bilinear", align_corners=False)
+    large = large[0].permute(1, 2, 0)
+    return large[..., :3], large[..., 3], large[..., 4]
+
+
 class _Lease:
     """A frame in the hands of one autograd node; goes back to the rasterizer when the node does."""
 
@@ -110,19 +150,20 @@ def _pointer(tensor: Tensor | None) -> int | None:
     return None if tensor is None else tensor.data_ptr()
 
 
-def _struct(fields) -> nl.GaussiansStruct:
-    return nl.GaussiansStruct(len(fields[0]), *map(_pointer, fields), None, 3 if fields[1].ndim == 2 else 1)
+def _struct(fields, normals) -> nl.GaussiansStruct:
+    columns = 3 if fields[1].ndim == 2 else 1
+    return nl.GaussiansStruct(len(fields[0]), *map(_pointer, fields), _pointer(normals), columns)
 
 
 class _Splat(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, means, scales, colors, opacities, quaternions, background, camera, owner, report, keep):
+    def forward(ctx, means, scales, colors, opacities, quaternions, background, normals, camera, owner, report, keep):
         fields = [None if x is None else x.contiguous() for x in (means, scales, colors, opacities, quaternions)]
-        lease = _Lease(owner)
-        struct, camera_struct = _struct(fields), nl.camera_struct(camera)
+        lease, config = _Lease(owner), owner.config
+        struct, camera_struct = _struct(fields, normals), nl.camera_struct(camera)
         options = nl.OptionsStruct(
-            (ctypes.c_float * 3)(*background.tolist()), TRANSMITTANCE_STOP, 0, int(keep), 0,
-            int(owner.config.antialiased), 0, 0,
+            (ctypes.c_float * 3)(*background.tolist()), TRANSMITTANCE_STOP, FAST_BLOCK_STOP, int(keep),
+            int(config.fast), int(config.antialiased), config.backface, config.depth_cut,
         )  # fmt: skip
         color = torch.empty((camera.height, camera.width, 3))
         alpha, depth = (torch.empty((camera.height, camera.width)) for _ in range(2))
@@ -146,7 +187,8 @@ class _Splat(torch.autograd.Function):
             for i, (x, want) in enumerate(zip(fields, wanted, strict=True))
         ]
         structs = (
-            _struct(fields), ctx.camera, ctx.options, nl.ImagesStruct(*map(_pointer, (color, alpha, depth)), None),
+            _struct(fields, None), ctx.camera, ctx.options,
+            nl.ImagesStruct(*map(_pointer, (color, alpha, depth)), None),
             nl.ImagesStruct(*map(_pointer, upstream), None), nl.GradientsStruct(*map(_pointer, grads)),
             nl.BackwardReportStruct(),
         )  # fmt: skip
@@ -157,4 +199,4 @@ class _Splat(torch.autograd.Function):
         background = None
         if ctx.needs_input_grad[5] and upstream[0] is not None:
             background = torch.einsum("hw,hwc->c", 1 - alpha, upstream[0])
-        return (*grads, background, None, None, None, None)
+        return (*grads, background, None, None, None, None, None)

@@ -143,7 +143,9 @@ def main(argv: list[str] | None = None) -> int:
         from ..grounding import grounded
 
         motion, _ = grounded(avatar, motion)
-    rasterizer = build_rasterizer(arguments.rasterizer, options["rasterizer"], threads=arguments.threads)
+    rasterizer = build_rasterizer(
+        arguments.rasterizer, options["rasterizer"], threads=arguments.threads, trained=bundle.manifest.rasterizer
+    )
     cameras = choose_cameras(arguments, avatar, motion)
     if arguments.uv == AUTO:
         uv = uv_for_size(avatar.surface, size_on_screen(avatar, motion, cameras))

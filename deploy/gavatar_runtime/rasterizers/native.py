@@ -45,12 +45,17 @@ class NativeConfig:
     antialiased: bool = False
 
     def __post_init__(self):
-        if not 0 <= self.backface < 1:
-            raise UserError(f"rasterizer.backface must be a cosine in [0, 1), 0 for off, got {self.backface}")
-        if not 0 <= self.depth_cut < 1e30:
-            raise UserError(f"rasterizer.depth_cut must be metres, 0 for off, got {self.depth_cut}")
-        if not 0 < self.resolution <= 1:
-            raise UserError(f"rasterizer.resolution must be in (0, 1], 1 for off, got {self.resolution}")
+        check_switches(self)
+
+
+def check_switches(config) -> None:
+    """UserError where a switch is out of its range."""
+    if not 0 <= config.backface < 1:
+        raise UserError(f"rasterizer.backface must be a cosine in [0, 1), 0 for off, got {config.backface}")
+    if not 0 <= config.depth_cut < 1e30:
+        raise UserError(f"rasterizer.depth_cut must be metres, 0 for off, got {config.depth_cut}")
+    if not 0 < config.resolution <= 1:
+        raise UserError(f"rasterizer.resolution must be in (0, 1], 1 for off, got {config.resolution}")
 
 
 @PLAYER_RASTERIZERS.register("native", config=NativeConfig, summary="exact, compiled, many times faster than numpy")

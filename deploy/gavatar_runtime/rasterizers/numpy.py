@@ -9,7 +9,6 @@ import numpy as np
 
 from ..camera import Camera
 from ..gaussians import Gaussians, Rendering
-from ..registry import NoOptions
 from ..rotations import matrix_from_quaternion
 from . import PLAYER_RASTERIZERS
 from .rules import ALPHA_MAX, ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS, NEAR, TRANSMITTANCE_STOP
@@ -33,8 +32,8 @@ class Splats:
     dropped: int
 
 
-def project(gaussians: Gaussians, camera: Camera, dtype=np.float32) -> Splats:
-    """Project and sort, steps 1 and 2 of the rule."""
+def project(gaussians: Gaussians, camera: Camera, dtype=np.float32, antialiased: bool = False) -> Splats:
+    """Project and sort, steps 1 and 2 of the rule; `antialiased` as in `NativeConfig`."""
     N = len(gaussians.means)
     means, scales, colors = (np.asarray(a, dtype) for a in (gaussians.means, gaussians.scales, gaussians.colors))
     opacity = np.ones(N, dtype) if gaussians.opacities is None else np.asarray(gaussians.opacities, dtype)
@@ -48,6 +47,9 @@ def project(gaussians: Gaussians, camera: Camera, dtype=np.float32) -> Splats:
         keep = np.flatnonzero(good & (z > NEAR) & (opacity >= ALPHA_MIN))
     x, y, z, opacity, scales = x[keep], y[keep], z[keep], opacity[keep], scales[keep]
     cov = _covariance(gaussians, camera, keep, x / z, y / z, z, scales, R)
+    if antialiased:
+        opacity = opacity * _compensation(cov)
+        keep, z, cov, opacity, x, y = (a[opacity >= ALPHA_MIN] for a in (keep, z, cov, opacity, x, y))
     with np.errstate(all="ignore"):
         det = cov[:, 0] * cov[:, 2] - cov[:, 1] ** 2
         conic = np.stack([cov[:, 2] / det, -cov[:, 1] / det, cov[:, 0] / det], -1)
@@ -59,6 +61,15 @@ def project(gaussians: Gaussians, camera: Camera, dtype=np.float32) -> Splats:
     order = order[np.argsort(z[order].astype(np.float32), kind="stable")]
     color = colors[keep][order]
     return Splats(center[order], conic[order], extent[order], z[order], opacity[order], color, int(N - good.sum()))
+
+
+def _compensation(cov: np.ndarray) -> np.ndarray:
+    """(M,) sqrt(det S / det(S + low-pass)) of (M, 3) covariances with the low-pass, 1 where they are not finite."""
+    xx, xy, yy = cov.astype(np.float64).T
+    with np.errstate(all="ignore"):
+        sharp, blurred = (xx - LOW_PASS) * (yy - LOW_PASS) - xy**2, xx * yy - xy**2
+        ratio = np.maximum(sharp, 0) / blurred
+    return np.sqrt(np.where(ratio < 1, ratio, 1)).astype(cov.dtype)
 
 
 def _covariance(gaussians, camera: Camera, keep, u, v, z, scales, R) -> np.ndarray:
@@ -150,19 +161,29 @@ def render(gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0), dty
     return blend(splats, *tile_lists(splats, camera), camera, background)
 
 
-@PLAYER_RASTERIZERS.register("numpy", summary="exact, plain NumPy: the reference, needs nothing compiled")
+@dataclasses.dataclass
+class NumpyConfig:
+    """antialiased: opacities times sqrt(det S / det(S + low-pass)), as `native` has it."""
+
+    antialiased: bool = False
+
+
+@PLAYER_RASTERIZERS.register(
+    "numpy", config=NumpyConfig, summary="exact, plain NumPy: the reference, needs nothing compiled"
+)
 class NumpyRasterizer:
     """`render(gaussians, camera, background) -> Rendering` and the seconds of its stages."""
 
     differentiable = False
 
-    def __init__(self, config: NoOptions | None = None):
+    def __init__(self, config: NumpyConfig | None = None):
+        self.config = config or NumpyConfig()
         self.stage_seconds: dict[str, float] = {}
 
     def render(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
         """Float32 rendering; see `rules`."""
         times = [perf_counter()]
-        splats = project(gaussians, camera)
+        splats = project(gaussians, camera, antialiased=self.config.antialiased)
         times.append(perf_counter())
         lists = tile_lists(splats, camera)
         times.append(perf_counter())
