@@ -42,6 +42,7 @@ from gavatar.training.run import Run, open_run, train
 from gavatar_runtime.motion import Motion
 
 HOLE = 0.9  # opacity below which a pixel well inside the mask counts as see-through
+LARGEST_FIGURE = 1100  # pixels
 MARGIN = 0.02  # of the mask's box: how far inside the mask that is
 
 
@@ -117,10 +118,12 @@ def figure(path: Path, run: Run, evaluator: Evaluator, views: list[View], motion
             for i, edge in ((target, (1, 1, 1)), (image, (1, 1, 1)), (error, (1, 1, 1)), (on_green, (0, 1, 0)))
         ]))  # fmt: skip
     picture = np.round(255 * np.clip(np.hstack(stacks), 0, 1)).astype(np.uint8)[..., ::-1]
+    shrink = min(1.0, LARGEST_FIGURE / picture.shape[1])
+    picture = cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
     cv2.imwrite(str(path), picture, [cv2.IMWRITE_JPEG_QUALITY, 88] if path.suffix in (".jpg", ".jpeg") else [])
 
 
-def body_coverage(capture: Path, scores: np.ndarray, names: list[str]) -> dict:
+def body_coverage(scores: np.ndarray, names: list[str]) -> dict:
     return {name: _spread(row) for name, row in zip(names, scores, strict=True)}
 
 
@@ -168,7 +171,7 @@ def main() -> None:
     known = source.footage[0].lens is not None
     quality = prepare(source, BODIES.build("free").data, out / "capture", facts, overwrite=True, progress=False,
                       options=FitOptions(refine_cameras=known and len(source.footage) > 1))  # fmt: skip
-    result["body"] = body_coverage(out / "capture", quality.iou, [f.name for f in source.footage])
+    result["body"] = body_coverage(quality.iou, [f.name for f in source.footage])
     prepared = time.perf_counter()
     print(json.dumps(result, indent=1), flush=True)
     if options.steps:

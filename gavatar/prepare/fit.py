@@ -55,9 +55,10 @@ class FitOptions:
     lead: float = 0.6  # of the pose stage
     lead_bones: float = 8.0
     lead_image: float = 0.1
+    # Inside weighs more than reach: clothes are larger than the body. The other way round a jacket fattens the legs.
     weights: dict = dataclasses.field(
         default_factory=lambda: {
-            "image": 1.0, "bones": 0.5, "inside": 1.0, "reach": 10.0, "pose": 0.05, "betas": 0.005, "offset": 0.02,
+            "image": 1.0, "bones": 0.5, "inside": 3.0, "reach": 4.0, "pose": 0.05, "betas": 0.005, "offset": 0.02,
             "smooth": 0.3, "stature": 1.0, "camera": 0.01, "balance": 0.2, "tilt": 0.003,
         }
     )  # fmt: skip
