@@ -18,7 +18,7 @@ from gavatar.graphs import fold_batchnorm
 from gavatar.training.run import open_run, train
 from gavatar_runtime import native_library
 from gavatar_runtime.avatar import Avatar as PlayedAvatar
-from gavatar_runtime.bundle import read_bundle
+from gavatar_runtime.bundle import pack_surfaces, read_bundle
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.player import build_rasterizer
 
@@ -80,6 +80,34 @@ def test_the_manifest_keeps_the_switches_that_the_avatar_was_trained_with(runs, 
         if name == "numpy" or native_library.available()[0]:
             assert build_rasterizer(name, trained=switches).config.antialiased
             assert not build_rasterizer(name, {"antialiased": False}, trained=switches).config.antialiased
+
+
+def test_cheaper_tiers_follow_an_encoder_that_sees_light(runs, tmp_path):
+    run = runs["light and joints"]
+    manifest = export(run, tmp_path / "a.gavatar", tiers=["coarse", "blendshape"])
+    psnr = {tier["name"]: tier["psnr_capture"] for tier in manifest.tiers}
+    assert min(psnr["coarse"], psnr["blendshape"]) > psnr["baked"] + 3  # dB: half the error of a still look or less
+    bundle = read_bundle(tmp_path / "a.gavatar")
+    assert bundle.manifest.components["encoder_inputs"] == ["normal_map", "joint_rotations"]
+    pose = run.motion.motion().poses[0].copy()
+    turned = pose.copy()
+    turned[0] = run.motion.motion().poses[3][0]  # another facing of the capture
+    change = {}
+    for tier in ("full", "coarse", "blendshape"):
+        avatar = PlayedAvatar(bundle, tier=tier)
+        before = avatar.gaussians(pose).colors.copy()
+        change[tier] = (avatar.gaussians(turned).colors - before).ravel()
+    assert np.abs(change["full"]).max() > 1e-3
+    for tier in ("coarse", "blendshape"):
+        assert np.corrcoef(change[tier], change["full"])[0, 1] > 0.8  # a tier blind to facing: 0
+
+
+def test_a_bundle_whose_map_lost_its_normals_is_one_sentence(runs, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "pack_surfaces", lambda a, b, normals: pack_surfaces(a, b))
+    monkeypatch.setattr(module, "verify", lambda *a: module.ExportCheck(0, 0, 0, 1))
+    export(runs["light and joints"], tmp_path / "a.gavatar")
+    with pytest.raises(UserError, match=r"wants a normal_map.*export the avatar again"):
+        PlayedAvatar(tmp_path / "a.gavatar")
 
 
 def test_onnx_members_state_opset_and_metadata_and_hold_no_batchnorm(runs, tmp_path):
