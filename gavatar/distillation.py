@@ -13,21 +13,28 @@ from tqdm import tqdm
 
 from gavatar_runtime.body import SMPL_BODY_JOINTS
 from gavatar_runtime.residuals import grouped
+from gavatar_runtime.surface import Surface
 from gavatar_runtime.tiers.blendshape import pose_input
 
 from .attributes import encoder_inputs
 from .tiers import TierSource, part_of_points, upsampling
 
 LENGTH_WEIGHT = 20.0  # per metre: 5 mm, about a pixel of a person 400 pixels tall, count as a tenth of the colour range
+PROTOTYPES = 128  # of the capture's poses, that the distance of another is taken from
+FADE = (0.4, 1.5)  # distances, of rotation matrices' entries, between which residuals fade into the still look: below,
+# they are closer to the full model than it is; above, as far (docs/choosing_a_tier.md)
 KEPT = 1e-4  # bases with a smaller share of their part's variance are left out
 
 
-def distil(source: TierSource, *, rank: int, uv: int, samples: int, width: int, steps: int) -> dict[str, np.ndarray]:
+def distil(
+    source: TierSource, *, rank: int, uv: int, samples: int, wide: int, width: int, steps: int
+) -> dict[str, np.ndarray]:
     """The arrays of blendshape.npz (see `gavatar_runtime.tiers.blendshape.Blendshape`).
 
     Residuals against the still look are decoded on a surface of side `uv` for the capture's poses and `samples` more,
     reduced by PCA within each body part to `rank` bases (a multiple of four), which are upsampled onto the
-    bundle's points.
+    bundle's points. `wide` further poses, over a body's range of motion, have no say in the bases; the network learns
+    what weights of these come closest to the full model there, where else it would guess.
     """
     rank = -(-rank // 4) * 4
     coarse = source.run.built.surface(min(uv, source.surface.resolution))
@@ -35,9 +42,13 @@ def distil(source: TierSource, *, rank: int, uv: int, samples: int, width: int, 
     weight = np.array([LENGTH_WEIGHT] * 3 + [1.0] * 3 + [LENGTH_WEIGHT], np.float32)
     mean = source.mean(coarse)
     residuals = np.empty((len(poses), len(coarse), 7), np.float32)
-    bar = tqdm(poses, desc="distilling poses", unit="pose", disable=not source.progress, leave=False)
-    for row, pose in zip(residuals, bar, strict=True):
-        row[:] = (source.decode(pose, coarse) - mean) * weight
+
+    def decoded(chosen: np.ndarray, label: str):
+        bar = tqdm(chosen, desc=label, unit="pose", disable=not source.progress, leave=False)
+        return ((source.decode(pose, coarse) - mean) * weight for pose in bar)
+
+    for row, residual in zip(residuals, decoded(poses, "distilling poses"), strict=True):
+        row[:] = residual
     part = part_of_points(coarse)
     count = int(part.max()) + 1
     coefficients = np.zeros((len(poses), count, rank), np.float32)
@@ -51,8 +62,14 @@ def distil(source: TierSource, *, rank: int, uv: int, samples: int, width: int, 
     # the root's rotation matters where the look depends on where the person faces
     facing = "normal_map" in encoder_inputs(source.run.avatar.encoder)
     joints = np.arange(0 if facing else 1, SMPL_BODY_JOINTS)
-    inputs = pose_input(poses, joints)
     flat = coefficients.reshape(len(poses), -1)
+    further = source.wide_poses(wide)
+    projected = [
+        np.concatenate([np.einsum("nkc,nc->k", bases[part == p], residual[part == p]) for p in range(count)])
+        for residual in decoded(further, "distilling far poses")
+    ]
+    inputs = pose_input(np.concatenate([poses, further]), joints)
+    flat = np.concatenate([flat, np.reshape(projected, (len(further), -1)).astype(np.float32)])
     layers = _fit_network(inputs, flat, len(source.train_poses), width, steps, source.progress)
 
     index, mixing = upsampling(coarse, source.surface)
@@ -76,10 +93,29 @@ def distil(source: TierSource, *, rank: int, uv: int, samples: int, width: int, 
         "joints": joints,
         "input_low": inputs.min(0),
         "input_high": inputs.max(0),
+        "seen": _spread_rows(inputs[: len(source.train_poses)], PROTOTYPES).astype(np.float16),
+        "near": _neighbours(source.surface, fine_part, joints),
+        "fade": np.array(FADE, np.float32),
     }
     for i, (w, b) in enumerate(layers):
         arrays |= {f"weight_{i}": w, f"bias_{i}": b}
     return {k: v.astype(np.float32) if v.dtype == np.float64 else v for k, v in arrays.items()}
+
+
+def _spread_rows(rows: np.ndarray, count: int) -> np.ndarray:
+    """At most `count` of the rows, evenly spaced."""
+    return rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(int))]
+
+
+def _neighbours(surface: Surface, part: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """(P, len(joints)) bool: those of `joints` that bend each body part: its own, its parent and its children."""
+    parents = np.asarray(surface.parents)
+    strongest = np.take_along_axis(surface.joint_index, surface.joint_weight.argmax(1)[:, None], 1)[:, 0]
+    near = np.zeros((int(part.max()) + 1, len(joints)), bool)
+    for p in range(len(near)):
+        own = np.bincount(strongest[part == p], minlength=len(parents)).argmax()
+        near[p] = (joints == own) | (joints == parents[own]) | (parents[joints] == own)
+    return near
 
 
 def _principal(rows: np.ndarray, rank: int) -> tuple[np.ndarray, np.ndarray]:

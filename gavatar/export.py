@@ -9,11 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-import torch
 from onnx import helper
 
 from gavatar_runtime.avatar import Avatar as PlayedAvatar
-from gavatar_runtime.body import check_motion_fits
 from gavatar_runtime.bundle import (
     FORMAT_VERSION,
     Manifest,
@@ -25,18 +23,16 @@ from gavatar_runtime.bundle import (
 )  # fmt: skip
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.expression import MEMBER as EXPRESSION
-from gavatar_runtime.motion import Motion
 from gavatar_runtime.pose_blendshapes import MEMBER as POSE_BLENDSHAPES
 from gavatar_runtime.rasterizers import SWITCHES
 
 from .attributes import encoder_inputs
 from .blendshapes import expression_of, pose_blendshapes_of
-from .evaluation import pose_features
 from .graphs import OPSET, decoder_model, encoder_model
-from .motion import MotionTable
 from .registry import TIERS
 from .tiers import TierSource
 from .training.run import Run
+from .unseen import difference, posed, seen
 
 POSITION_TOLERANCE = 1e-4  # metres: a tenth of a millimetre, far below a pixel at any sensible distance
 COLOR_TOLERANCE = 1 / 255  # one 8-bit step
@@ -65,7 +61,7 @@ def verify(path: Path, run: Run, poses: int = 8) -> ExportCheck:
     frames = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, poses).astype(int))]
     errors = []
     for frame in frames:
-        expected = torch_gaussians(run, motion, frame)
+        expected = posed(run, motion, frame)
         got = played.gaussians(*motion.at(frame))
         errors.append(
             [
@@ -78,24 +74,22 @@ def verify(path: Path, run: Run, poses: int = 8) -> ExportCheck:
     return ExportCheck(float(position), float(scale), float(color), len(frames))
 
 
-@torch.no_grad()
-def torch_gaussians(run: Run, motion: Motion, frame: int):
-    """The trained avatar's Gaussians in the pose of one frame of `motion`, torch tensors."""
-    one = motion.taken([frame])
-    poses = check_motion_fits(one.poses, run.built.body.data.num_joints)
-    attributes = run.avatar.attributes(pose_features(run.avatar, run.built, poses))
-    table = MotionTable(one, poses.shape[1])
-    return run.avatar.pose(attributes, *table(), table.expression())[0]
-
-
 def export(
-    run: Run, path: str | Path, poses: int = 8, *, uv: int | None = None, tiers: Sequence[str] = (), progress=False
+    run: Run,
+    path: str | Path,
+    poses: int = 8,
+    *,
+    uv: int | None = None,
+    tiers: Sequence[str] = (),
+    drop_unseen: bool = False,
+    progress: bool = False,
 ) -> Manifest:
     """Write the bundle of a run to `path` and return its manifest.
 
     uv: side of the atlas whose texels are its Gaussians, None for the one it was trained at (scales in units of the
-    point spacing keep the surface closed). tiers: cheaper ways to decode it
-    that are stored too, each with its measured error and cost.
+    point spacing keep the surface closed). tiers: cheaper ways to decode it that are stored too, each with its measured
+    error and cost. drop_unseen: leave out Gaussians that no training view sees nor any of their neighbours
+    (`unseen.seen`); the manifest's `training` says under `unseen` how many, and what that changed.
 
     The bundle is first written beside its place, played back and compared with the PyTorch model; it is put in place
     only if positions agree within 0.1 mm and colours within 1/255, else UserError and nothing is left.
@@ -108,21 +102,29 @@ def export(
     if uv is not None and uv != run.uv:
         run = dataclasses.replace(run, uv=uv)
         avatar.sample_at(run.built.surface(uv))
+    surface, left_out = run.built.surface(run.uv), None
+    if drop_unseen:
+        kept = seen(run, progress=progress)
+        left_out = {"dropped": int((~kept).sum()), **difference(run, kept)}
+        surface = surface.take(np.flatnonzero(kept))
+        avatar.sample_at(surface)
     manifest = _manifest(run)
+    if left_out is not None:
+        manifest.training["unseen"] = left_out
     members = {"decoder.onnx": _with_metadata(decoder_model(avatar), manifest)}
     encoder_map = None
     if manifest.dynamic:
         members["encoder.onnx"] = _with_metadata(encoder_model(avatar), manifest)
         encoder_map = run.built.surface(avatar.encoder.map_size)
     sees_normals = manifest.dynamic and "normal_map" in manifest.components["encoder_inputs"]
-    members["surface.npz"] = pack_surfaces(run.built.surface(run.uv), encoder_map, sees_normals)
+    members["surface.npz"] = pack_surfaces(surface, encoder_map, sees_normals)
     joints = data.shaped(run.built.betas)[1]
     members["body.npz"] = pack_body(data.joint_names, data.parents, joints, run.built.betas, data.rest_pose, data.hands)
-    expression = expression_of(data, run.built.surface(run.uv))
+    expression = expression_of(data, surface)
     if expression is not None:
         members[EXPRESSION] = pack_arrays(expression.to_arrays())
     if avatar.config.pose_blendshapes:
-        members[POSE_BLENDSHAPES] = pack_arrays(pose_blendshapes_of(data, run.built.surface(run.uv)).to_arrays())
+        members[POSE_BLENDSHAPES] = pack_arrays(pose_blendshapes_of(data, surface).to_arrays())
     source = TierSource(run, avatar.surface, lambda model: _with_metadata(model, manifest), progress)
     for name in tiers:
         members |= TIERS.build(name).build(source)
@@ -147,17 +149,17 @@ def export(
     return write_bundle(path, manifest, members)
 
 
-def export_front(run: Run, path: str | Path, poses: int = 8, *, uv: int | None = None, progress=False) -> Manifest:
-    """As `export`, with those tiers that no other stored tier beats in both speed and error, as measured here. A static
-    avatar has none."""
+def export_front(run: Run, path: str | Path, poses: int = 8, *, progress: bool = False, **options) -> Manifest:
+    """As `export` with its options `uv` and `drop_unseen`, with those tiers that no other stored tier beats in both
+    speed and error, as measured here. A static avatar has none."""
     if run.avatar.encoder is None:
-        return export(run, path, poses, uv=uv, progress=progress)
+        return export(run, path, poses, progress=progress, **options)
     path = Path(path)
     _check_isotropic(run)
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".gavatar-export-", dir=path.parent) as scratch:
         draft = Path(scratch) / "all.gavatar"
-        manifest = export(run, draft, poses, uv=uv, tiers=TIERS.names(), progress=progress)
+        manifest = export(run, draft, poses, tiers=TIERS.names(), progress=progress, **options)
         bundle = read_bundle(draft)
         members = {name: bundle.read(name) for name in bundle.manifest.members}
     kept = on_front(manifest.tiers)

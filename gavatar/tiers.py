@@ -20,6 +20,21 @@ from .training.run import Run
 
 MEAN_POSES = 24  # over which the still look is averaged: more moved it by less than an 8-bit step
 
+_SIDES = {  # of the left side; the right one is its mirror image: y and z change sign
+    1: ((-2.2, -0.4, -0.3), (0.5, 0.4, 0.7)),  # hip: bent forwards, out
+    4: ((0.0, -0.1, -0.1), (2.4, 0.1, 0.1)),  # knee
+    7: ((-0.6, -0.2, -0.2), (0.5, 0.2, 0.2)),  # ankle
+    13: ((-0.2, -0.3, -0.2), (0.2, 0.3, 0.4)),  # collar
+    16: ((-0.7, -1.5, -1.3), (0.7, 0.6, 1.5)),  # shoulder: arms down to high, forwards
+    18: ((-0.3, -2.3, -0.3), (0.3, 0.1, 0.3)),  # elbow
+}
+RANGE = {  # radians by joint of the SMPL family, axis-angle from the T-pose
+    3: ((-0.3, -0.3, -0.3), (0.8, 0.3, 0.3)), 6: ((-0.2, -0.3, -0.2), (0.6, 0.3, 0.2)),
+    9: ((-0.2, -0.3, -0.2), (0.5, 0.3, 0.2)), 12: ((-0.4, -0.5, -0.3), (0.4, 0.5, 0.3)),
+    15: ((-0.4, -0.5, -0.3), (0.4, 0.5, 0.3)), **_SIDES,
+    **{j + 1: ((a[0], -b[1], -b[2]), (b[0], -a[1], -a[2])) for j, (a, b) in _SIDES.items()},
+}  # fmt: skip
+
 
 class TierBuilder(Protocol):
     """needs: names of tiers whose members this one also reads."""
@@ -82,6 +97,19 @@ class TierSource:
         noisy = rng.random(count) < 0.5
         mixed[noisy, :SMPL_BODY_JOINTS] += rng.normal(0, 0.15, (int(noisy.sum()), SMPL_BODY_JOINTS, 3))
         return mixed.astype(np.float32)
+
+    def wide_poses(self, count: int, seed: int = 0) -> np.ndarray:
+        """(count, J, 3) poses over a body's range of motion, filmed or not: each limb either bent anywhere within it
+        (`RANGE`) or as in a training frame of its own."""
+        rng = np.random.default_rng(seed)
+        parents = self.run.built.body.data.parents
+        limb, poses = limb_of_joints(parents), self.random_poses(count, seed)
+        bent = rng.random((count, int(limb.max()) + 1)) < 0.5
+        for joint, (low, high) in RANGE.items():
+            drawn = rng.uniform(low, high, (count, 3))
+            rows = bent[:, limb[joint]]
+            poses[rows, joint] = drawn[rows]
+        return poses
 
 
 def limb_of_joints(parents: np.ndarray) -> np.ndarray:

@@ -12,10 +12,12 @@ from torch import nn
 
 import gavatar.export as module
 from gavatar import graphs
+from gavatar.build import build_rasterizer as training_rasterizer
 from gavatar.config import compose_config
-from gavatar.export import export, torch_gaussians
+from gavatar.export import export
 from gavatar.graphs import fold_batchnorm
 from gavatar.training.run import open_run, train
+from gavatar.unseen import difference, pixel_weights, posed, seen
 from gavatar_runtime import native_library
 from gavatar_runtime.avatar import Avatar as PlayedAvatar
 from gavatar_runtime.bundle import pack_surfaces, read_bundle
@@ -60,7 +62,7 @@ def test_the_played_avatar_is_the_trained_one(runs, variant, tmp_path):
     assert manifest.dynamic == (variant != "static")
     played, motion = PlayedAvatar(read_bundle(tmp_path / "a.gavatar", verify=True)), run.motion.motion()
     for frame in (0, 4):
-        got, expected = played.gaussians(motion.poses[frame], motion.trans[frame]), torch_gaussians(run, motion, frame)
+        got, expected = played.gaussians(motion.poses[frame], motion.trans[frame]), posed(run, motion, frame)
         # float32 through one network in two engines: a hundredth of the export's own tolerance
         assert np.abs(got.means - expected.means.numpy()).max() < 1e-5
         assert np.abs(got.colors - expected.colors.numpy()).max() < 1e-4
@@ -142,6 +144,38 @@ def test_a_decoder_gives_the_rows_it_is_asked_for(runs, tmp_path, monkeypatch):
             got = session.run(["offsets", "colors", "scales"], {**feeds, "rows": rows})
             for a, b in zip(got, whole, strict=True):
                 np.testing.assert_allclose(a, b[rows], atol=1e-6)  # a matrix product in blocks of another place
+
+
+def test_weights_of_a_picture_add_up_to_its_alpha(runs):
+    run = runs["mlp and unet"]
+    rasterize, camera = training_rasterizer({"name": "native"}), run.capture.camera(run.capture.views("train")[0])
+    gaussians = posed(run, run.motion.motion(), 0)
+    weights = pixel_weights(rasterize, gaussians, camera)
+    assert weights.min() >= 0
+    total = float(rasterize(gaussians, camera, (0.0, 0.0, 0.0)).alpha.sum())
+    assert float(weights.sum()) == pytest.approx(total, rel=1e-4)  # float32 sums over a picture
+
+
+def test_gaussians_that_no_camera_sees_are_left_out_and_the_picture_stays(runs, tmp_path):
+    run = runs["mlp and unet"]
+    whole = run.avatar.surface
+    try:
+        strict, wide = seen(run, margin=0.0), seen(run, margin=0.02)
+        assert 0 < strict.sum() < wide.sum() <= len(whole)
+        assert wide[strict].all()
+        changed = difference(run, strict)
+        assert changed["psnr"] >= changed["worst_psnr"] > 35  # a hole of one pixel in this small picture costs more
+        manifest = export(run, tmp_path / "a.gavatar", drop_unseen=True)
+        left = manifest.training["unseen"]
+        assert manifest.gaussians == wide.sum() == len(whole) - left["dropped"]
+        played = PlayedAvatar(read_bundle(tmp_path / "a.gavatar", verify=True))
+        motion = run.motion.motion()
+        got = played.gaussians(motion.poses[0], motion.trans[0])
+        run.avatar.sample_at(whole)
+        expected = posed(run, motion, 0).means.numpy()[wide]
+        assert np.abs(got.means - expected).max() < 1e-5
+    finally:
+        run.avatar.sample_at(whole)
 
 
 def test_an_export_beyond_tolerance_is_refused_and_nothing_is_left(runs, tmp_path, monkeypatch):

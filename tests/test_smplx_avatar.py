@@ -16,13 +16,14 @@ from gavatar.blendshapes import expression_of
 from gavatar.build import build_body, capture_on_body, open_capture
 from gavatar.config import compose_config
 from gavatar.evaluation import evaluate, motion_errors, part_errors
-from gavatar.export import export, torch_gaussians
+from gavatar.export import export
 from gavatar.files import load_tensors
 from gavatar.placement import Placement
 from gavatar.registry import BODIES
 from gavatar.reporting import table
 from gavatar.surface import sample_surface
 from gavatar.training.run import open_run, train
+from gavatar.unseen import posed
 from gavatar_runtime.avatar import Avatar
 from gavatar_runtime.bundle import read_bundle
 from gavatar_runtime.cli.play import main as play
@@ -94,7 +95,7 @@ def test_the_played_avatar_is_the_trained_one_and_its_hands_and_jaw_move(run, bu
     avatar, motion = Avatar(bundle), run.motion.motion()
     assert avatar.joint_names == models[1].joint_names
     for frame in (0, 5):
-        got, expected = avatar.gaussians(*motion.at(frame)), torch_gaussians(run, motion, frame)
+        got, expected = avatar.gaussians(*motion.at(frame)), posed(run, motion, frame)
         assert np.abs(got.means - expected.means.numpy()).max() < 1e-5  # float32, two engines, metres from the origin
         assert np.abs(got.colors - expected.colors.numpy()).max() < 1e-4
     rest = np.zeros((55, 3), np.float32)
@@ -150,9 +151,7 @@ def test_a_bundle_holds_no_more_of_the_model_than_playing_needs(bundle, models):
 def test_training_poses_the_expression_of_the_capture(run):
     np.testing.assert_array_equal(run.motion.motion().expression, expressions())
     avatar, motion = run.avatar, run.motion.motion()
-    with_it, without = (
-        torch_gaussians(run, m, 5).means for m in (motion, dataclasses.replace(motion, expression=None))
-    )
+    with_it, without = (posed(run, m, 5).means for m in (motion, dataclasses.replace(motion, expression=None)))
     moved = np.linalg.norm(with_it - without, axis=1)
     mouth = expression_of(run.built.body.data, avatar.surface).rows
     assert moved.max() > 0.003  # metres
@@ -167,7 +166,7 @@ def test_the_played_expression_is_the_trained_one(run, bundle):
     rest = avatar.gaussians(motion.poses[5], motion.trans[5]).means.copy()
     got = avatar.gaussians(*motion.at(5)).means.copy()
     # float16 directions of at most 1 cm times coefficients of 2.5
-    assert np.abs(got - torch_gaussians(run, motion, 5).means.numpy()).max() < 2e-5
+    assert np.abs(got - posed(run, motion, 5).means.numpy()).max() < 2e-5
     assert np.abs(got - rest).max() > 0.003
     np.testing.assert_array_equal(avatar.gaussians(*motion.at(5)[:2], np.zeros(10)).means, rest)
     np.testing.assert_array_equal(avatar.gaussians(*motion.at(5)[:2], motion.expression[5, :2]).means, got)  # padded
@@ -201,9 +200,9 @@ def test_pose_blendshapes_are_trained_exported_and_played_when_asked_for(capture
     avatar, motion = Avatar(read), run.motion.motion()
     with_it = avatar.gaussians(*motion.at(5)).means.copy()
     # float16 directions of millimetres
-    assert np.abs(with_it - torch_gaussians(run, motion, 5).means.numpy()).max() < 2e-5
+    assert np.abs(with_it - posed(run, motion, 5).means.numpy()).max() < 2e-5
     run.avatar.config = dataclasses.replace(run.avatar.config, pose_blendshapes=False)
-    moved = np.linalg.norm(with_it - torch_gaussians(run, motion, 5).means.numpy(), axis=1)
+    moved = np.linalg.norm(with_it - posed(run, motion, 5).means.numpy(), axis=1)
     assert 1e-3 < moved.max() < 0.05  # the model's are some 8 mm
     coarse = Avatar(read, uv=64)
     np.testing.assert_allclose(coarse.gaussians(*motion.at(5)).means, with_it, atol=1e-6)  # trained at uv 64

@@ -16,7 +16,7 @@ from gavatar.export import export, on_front
 from gavatar.graphs import bilinear, subpixel
 from gavatar.registry import TIERS, load_plugins
 from gavatar.sampling import sample_uv
-from gavatar.tiers import limb_of_joints, part_of_points, upsampling
+from gavatar.tiers import RANGE, TierSource, limb_of_joints, part_of_points, upsampling
 from gavatar.tradeoff import Choice, Row, compare, default_choices, images, mark_dominated
 from gavatar.training.run import open_run, train
 from gavatar_runtime import native_library, residuals
@@ -30,6 +30,7 @@ from gavatar_runtime.motion import Motion
 from gavatar_runtime.player import build_rasterizer, play
 from gavatar_runtime.selection import choose_tier
 from gavatar_runtime.tiers import player_tiers, stored_tiers
+from gavatar_runtime.tiers.blendshape import pose_input
 
 load_plugins()
 CHEAP = [name for name in TIERS.names() if name != "full"]
@@ -185,6 +186,39 @@ def test_a_tier_keeps_its_last_two_results_while_it_makes_the_next(bundle, tier)
         np.testing.assert_array_equal(array, copy)
 
 
+def test_blendshapes_fade_into_the_still_look_far_from_filmed_poses(bundle, run):
+    blendshape, baked = Avatar(bundle, tier="blendshape"), Avatar(bundle, tier="baked")
+    tier = blendshape._tier
+    filmed = run.motion.motion().poses[0].astype(np.float32)
+    joints = np.arange(1, 22)
+    np.testing.assert_allclose(tier.shares(pose_input(filmed, joints)), 1, atol=1e-6)
+    far = filmed.copy()
+    far[1:22] += (0, 0, np.pi)  # a rotation by pi is 2 sqrt(2) from none
+    np.testing.assert_array_equal(tier.shares(pose_input(far, joints)), 0)
+    for a, b in zip(blendshape._decode(far), baked._decode(far), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+    arm = filmed.copy()
+    arm[[16, 18]] += (0, 0, np.pi)
+    shares = tier.shares(pose_input(arm, joints))
+    assert shares.min() < 1e-6  # the arm's own parts
+    assert (shares > 1 - 1e-6).sum() > len(shares) // 2  # and no others
+    values = [tier.shares(pose_input(filmed + t * (far - filmed), joints)).mean() for t in np.linspace(0, 0.5, 9)]
+    assert (np.diff(values) <= 1e-6).all()
+
+
+def test_wide_poses_bend_limbs_within_their_range_and_mirror_sides(run):
+    source = TierSource(run, run.avatar.surface, lambda model: b"", False)
+    poses = source.wide_poses(200)
+    assert poses.shape == (200, 52, 3)
+    assert np.isfinite(poses).all()
+    assert poses[:, 4, 0].max() > 1.8  # deep knees
+    assert poses[:, 16, 2].max() > 1.0  # the left arm high
+    assert poses[:, 17, 2].min() < -1.0  # and the right one
+    np.testing.assert_array_equal(poses, source.wide_poses(200))
+    for joint, (low, high) in RANGE.items():
+        assert np.all(np.less(low, high)), joint
+
+
 def test_player_and_training_half_know_the_same_tiers():
     assert player_tiers().names() == TIERS.names()
 
@@ -300,7 +334,7 @@ def test_decoding_what_is_seen_changes_nothing_of_what_is_decoded(fine, tier, uv
     motion = Motion(pose[None], np.zeros((1, 3), np.float32), 30.0)
     camera = frame_motion(whole, motion, 96, 96)
     for _ in range(2):  # the first call finds the shapes, the next ones fill what is there
-        every, some = whole.gaussians(pose), seen.gaussians(pose, None, camera)
+        every, some = whole.gaussians(pose), seen.gaussians(pose, camera=camera)
         assert 0.4 * len(whole) < len(some) < 0.95 * len(whole)
         place = {tuple(mean): i for i, mean in enumerate(every.means.round(4).tolist())}
         rows = [place.get(tuple(mean), -1) for mean in some.means.round(4).tolist()]
@@ -309,9 +343,9 @@ def test_decoding_what_is_seen_changes_nothing_of_what_is_decoded(fine, tier, uv
         np.testing.assert_allclose(some.colors[known], every.colors[np.array(rows)[known]], atol=1e-5)
     assert len(seen.gaussians(pose)) == len(whole)  # without a camera all are decoded
     away = dataclasses.replace(camera, T_camera_world=np.diag([1.0, -1, -1, 1]) @ camera.T_camera_world)
-    assert len(seen.gaussians(pose, None, away)) == 0
+    assert len(seen.gaussians(pose, camera=away)) == 0
     rasterizer = build_rasterizer()
-    assert (rasterizer.render(seen.gaussians(pose, None, away), away, (1, 1, 1)).color == 1).all()
+    assert (rasterizer.render(seen.gaussians(pose, camera=away), away, (1, 1, 1)).color == 1).all()
 
 
 def test_only_networks_of_one_decode_a_frame_leave_out_what_is_not_seen(fine):

@@ -42,6 +42,11 @@ def parser() -> argparse.ArgumentParser:
         metavar="NAME,NAME",
         help="cheaper ways to decode: baked, blendshape, coarse, int8, or auto",
     )
+    parser.add_argument(
+        "--drop-unseen",
+        action="store_true",
+        help="leave out Gaussians that no training view sees nor any neighbour within 2 cm; says what that changed",
+    )
     parser.add_argument("--poses", type=int, default=8, metavar="N", help="poses to verify on (default: 8)")
     return parser
 
@@ -63,11 +68,11 @@ def main(argv: list[str] | None = None) -> int:
     if out.suffix != ".gavatar":
         raise UserError(f"{out}: a bundle's name ends in .gavatar")
     tiers = [name.strip() for name in (arguments.tiers or "").split(",") if name.strip()]
+    options = {"uv": arguments.uv, "drop_unseen": arguments.drop_unseen, "progress": sys.stderr.isatty()}
     if tiers == ["auto"]:
-        manifest = export_front(run, out, arguments.poses, uv=arguments.uv, progress=sys.stderr.isatty())
+        manifest = export_front(run, out, arguments.poses, **options)
     else:
-        progress = sys.stderr.isatty()
-        manifest = export(run, out, arguments.poses, uv=arguments.uv, tiers=tiers, progress=progress)
+        manifest = export(run, out, arguments.poses, tiers=tiers, **options)
     check = manifest.export_check
     print(
         f"{out}: {manifest.gaussians} Gaussians, {'dynamic' if manifest.dynamic else 'static'}, "
@@ -76,6 +81,12 @@ def main(argv: list[str] | None = None) -> int:
         f"verified on {check['poses']} poses: positions within {1000 * check['position_m']:.5f} mm, "
         f"colours within {255 * check['color']:.4f}/255 of PyTorch"
     )
+    if arguments.drop_unseen:
+        unseen = manifest.training["unseen"]
+        print(
+            f"unseen: {unseen['dropped']} Gaussians left out; {unseen['psnr']:.1f} dB against all of them on "
+            f"{unseen['views']} views held out, worst {unseen['worst_psnr']:.1f}"
+        )
     for tier in manifest.tiers:
         print(
             f"tier {tier['name']}: {tier['psnr_capture']:.1f} dB against full on poses of the capture (worst "

@@ -13,11 +13,13 @@ from gavatar_runtime.bundle import pack_arrays
 @dataclasses.dataclass
 class BlendshapeOptions:
     """rank: bases of a body part. uv: side of the atlas they are computed at. samples: poses they are distilled from,
-    beside the capture's. width: of the network's two hidden layers. steps: of its training."""
+    beside the capture's. wide: poses over the range of motion that their weights are learnt on too. width: of the
+    network's two hidden layers. steps: of its training."""
 
     rank: int = 16
     uv: int = 160
     samples: int = 500
+    wide: int = 400
     width: int = 128
     steps: int = 3000
 

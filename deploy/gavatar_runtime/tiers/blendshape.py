@@ -29,7 +29,10 @@ class Blendshape:
     """blendshape.npz: part (N,), basis (N, K / 4, 8, 4) int8 (`residuals.grouped`), gains (P, 8); the network's layers
     weight_0, bias_0, weight_1, ... with ReLU between them, from `pose_input` of `joints` to the P x K coefficients; low
     and high (P x K), between which coefficients are clamped, and input_low and input_high, between which its inputs
-    are: the range of training, so that no pose can leave what was seen."""
+    are: the range of training, so that no pose can leave what was seen. seen (F, 9 x joints), inputs of filmed poses,
+    near (P, joints), which joints bend each part, and fade, two distances: a part whose joints are farther from every
+    filmed pose than the first loses its residual, at the second all of it. (Bundles without these three do not fade.)
+    """
 
     members = (MEMBER, BAKED)
     moves, picks = True, False
@@ -54,18 +57,36 @@ class Blendshape:
             raise UserError(
                 f"{parts.bundle.path}: {MEMBER} does not fit {len(parts.surface)} Gaussians; export it again"
             )
+        self._seen = self._near = None
+        if {"seen", "near", "fade"} <= set(arrays):
+            self._seen, self._fade = arrays["seen"].astype(np.float32), arrays["fade"]
+            near = arrays["near"].astype(np.float32)
+            self._near = near / np.maximum(near.sum(1, keepdims=True), 1)
+            if self._seen.shape[1:] != (9 * near.shape[1],) or len(near) != len(self._gains):
+                raise UserError(f"{parts.bundle.path}: arrays of {MEMBER} do not fit each other; export it again")
         self._out = [empty(N) for _ in range(3)]
         self._calls = 0
         self.stage_seconds: dict[str, float] = {}
 
     def coefficients(self, pose: np.ndarray) -> np.ndarray:
         """(P, K) weights of the bases in one pose."""
-        x = np.clip(pose_input(pose, self._joints), *self._input_range)
+        given = pose_input(pose, self._joints)
+        x = np.clip(given, *self._input_range)
         for i, (weight, bias) in enumerate(self._layers):
             x = x @ weight + bias
             if i < len(self._layers) - 1:
                 x = np.maximum(x, 0)
-        return np.clip(x, self._low, self._high).reshape(len(self._gains), -1)
+        weights = np.clip(x, self._low, self._high).reshape(len(self._gains), -1)
+        return weights if self._seen is None else weights * self.shares(given)[:, None]
+
+    def shares(self, given: np.ndarray) -> np.ndarray:
+        """(P,) in [0, 1]: how much of its residual each part keeps, from the root mean square distance of its joints'
+        inputs to those of the nearest filmed pose."""
+        square = np.square(self._seen - given).reshape(len(self._seen), -1, 9).sum(-1)
+        distance = np.sqrt((square @ self._near.T).min(0))
+        near, far = self._fade
+        t = np.clip((far - distance) / (far - near), 0, 1)
+        return t * t * (3 - 2 * t)
 
     def __call__(self, pose: np.ndarray):
         start = perf_counter()

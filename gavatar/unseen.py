@@ -1,0 +1,90 @@
+"""Gaussians that no camera of the capture sees: which they are, and what leaving them out does to the picture."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+from tqdm import tqdm
+
+from gavatar_runtime.body import check_motion_fits
+from gavatar_runtime.camera import Camera
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.gaussians import Gaussians
+from gavatar_runtime.motion import Motion
+
+from .build import build_rasterizer
+from .capture import View
+from .evaluation import pose_features
+from .image_quality import mean_psnr, psnr
+from .motion import MotionTable
+from .training.run import Run
+
+SEEN = 1 / 255  # pixels: what adds up to less in a view moves no pixel of it by an 8-bit step
+MARGIN = 0.02  # metres in the canonical pose: other poses and cameras uncover what lies beside the seen
+HELD_OUT = ("novel_pose", "test", "val")
+COMPARED = 12  # views that the picture is compared on
+WHITE = (1.0, 1.0, 1.0)
+
+
+def pixel_weights(rasterize, gaussians: Gaussians, camera: Camera) -> Tensor:
+    """(N,) what each Gaussian adds to a picture: the sum over its pixels of opacity times what is left to come through,
+    which is the gradient of the picture's brightness by the Gaussian's."""
+    colors = torch.zeros_like(gaussians.means, requires_grad=True)
+    picture = rasterize(dataclasses.replace(gaussians, colors=colors), camera, (0.0, 0.0, 0.0)).color
+    return torch.autograd.grad(picture[..., 0].sum(), colors)[0][:, 0]
+
+
+def seen(run: Run, margin: float = MARGIN, progress: bool = False) -> np.ndarray:
+    """(N,) bool: which of the avatar's Gaussians some training view sees, or lie within `margin` metres of one.
+
+    Every view is drawn with the refined pose of its frame. Raises UserError if none is seen: the poses or the cameras
+    do not belong to the capture.
+    """
+    rasterize, motion = build_rasterizer(run.config.rasterizer), run.motion.motion()
+    largest = torch.zeros(len(run.avatar.surface))
+    views = sorted(run.capture.views(run.config.train_split), key=lambda view: view.frame)
+    frame, gaussians = None, None
+    for view in tqdm(views, desc="looking for what is seen", unit="view", disable=not progress, leave=False):
+        if view.frame != frame:
+            frame, gaussians = view.frame, posed(run, motion, view.frame)
+        largest = torch.maximum(largest, pixel_weights(rasterize, gaussians, run.capture.camera(view)))
+    found = (largest > SEEN).numpy()
+    if not found.any():
+        raise UserError(f"{run.directory}: no training view of {run.capture.path} sees the avatar; is it its capture?")
+    points = run.avatar.surface.points
+    near = cKDTree(points[found]).query(points[~found], distance_upper_bound=margin)[0]
+    found[~found] = np.isfinite(near)
+    return found
+
+
+@torch.no_grad()
+def posed(run: Run, motion: Motion, frame: int) -> Gaussians:
+    """The trained avatar's Gaussians in the pose of one frame of `motion`, torch tensors."""
+    one = motion.taken([frame])
+    poses = check_motion_fits(one.poses, run.built.body.data.num_joints)
+    attributes = run.avatar.attributes(pose_features(run.avatar, run.built, poses))
+    table = MotionTable(one, poses.shape[1])
+    return run.avatar.pose(attributes, *table(), table.expression())[0]
+
+
+@torch.no_grad()
+def difference(run: Run, kept: np.ndarray) -> dict[str, float]:
+    """PSNR, dB, of the kept Gaussians' picture against all Gaussians', over held-out views (training views where the
+    capture holds none out): `psnr` of the mean error, `worst_psnr` of the worst view, `views`."""
+    capture, rasterize = run.capture, build_rasterizer(run.config.rasterizer)
+    split = next((name for name in HELD_OUT if capture.splits.get(name)), run.config.train_split)
+    motion = capture.truth or capture.motion if split in HELD_OUT else run.motion.motion()
+    views: list[View] = capture.views(split)
+    views = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, COMPARED).astype(int))]
+    rows, values = torch.from_numpy(np.flatnonzero(kept)), []
+    for view in views:
+        whole, camera = posed(run, motion, view.frame), capture.camera(view)
+        fields = {name: getattr(whole, name)[rows] for name in ("means", "scales", "colors")}
+        pictures = [rasterize(g, camera, WHITE).color.clone() for g in (whole, dataclasses.replace(whole, **fields))]
+        a, b = (p.permute(2, 0, 1)[None].clamp(0, 1) for p in pictures)
+        values.append(min(100.0, float(psnr(a, b))))
+    return {"psnr": round(mean_psnr(values), 2), "worst_psnr": round(min(values), 2), "views": len(values)}
