@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from gavatar_runtime.body import check_motion_fits
 from gavatar_runtime.detail import as_trained
+from gavatar_runtime.gaussians import Gaussians
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.skeletons import FINGERS
 
@@ -114,6 +115,16 @@ def pose_features(avatar: Avatar, built: AvatarBuild, poses: np.ndarray) -> Tens
     if avatar.encoder is None:
         return None
     return avatar.encode(*built.encoder_tensors(poses))
+
+
+@torch.no_grad()
+def posed(run: Run, motion: Motion, frame: int) -> Gaussians:
+    """The trained avatar's Gaussians in the pose of one frame of `motion`, torch tensors."""
+    one = motion.taken([frame])
+    poses = check_motion_fits(one.poses, run.built.body.data.num_joints)
+    attributes = run.avatar.attributes(pose_features(run.avatar, run.built, poses))
+    table = MotionTable(one, poses.shape[1])
+    return run.avatar.pose(attributes, *table(), table.expression())[0]
 
 
 class Evaluator:

@@ -28,11 +28,12 @@ from gavatar_runtime.rasterizers import SWITCHES
 
 from .attributes import encoder_inputs
 from .blendshapes import expression_of, pose_blendshapes_of
+from .evaluation import posed
 from .graphs import OPSET, decoder_model, encoder_model
 from .registry import TIERS
 from .tiers import TierSource
 from .training.run import Run
-from .unseen import difference, posed, seen
+from .unseen import difference, seen
 
 POSITION_TOLERANCE = 1e-4  # metres: a tenth of a millimetre, far below a pixel at any sensible distance
 COLOR_TOLERANCE = 1 / 255  # one 8-bit step

@@ -7,35 +7,22 @@ import dataclasses
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
-from torch import Tensor
 from tqdm import tqdm
 
-from gavatar_runtime.body import check_motion_fits
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.gaussians import Gaussians
-from gavatar_runtime.motion import Motion
 
 from .build import build_rasterizer
 from .capture import View
-from .evaluation import pose_features
+from .evaluation import posed
 from .image_quality import mean_psnr, psnr
-from .motion import MotionTable
 from .training.run import Run
+from .visibility import pixel_weights
 
 SEEN = 1 / 255  # pixels: what adds up to less in a view moves no pixel of it by an 8-bit step
 MARGIN = 0.02  # metres in the canonical pose: other poses and cameras uncover what lies beside the seen
 HELD_OUT = ("novel_pose", "test", "val")
 COMPARED = 12  # views that the picture is compared on
 WHITE = (1.0, 1.0, 1.0)
-
-
-def pixel_weights(rasterize, gaussians: Gaussians, camera: Camera) -> Tensor:
-    """(N,) what each Gaussian adds to a picture: the sum over its pixels of opacity times what is left to come through,
-    which is the gradient of the picture's brightness by the Gaussian's."""
-    colors = torch.zeros_like(gaussians.means, requires_grad=True)
-    picture = rasterize(dataclasses.replace(gaussians, colors=colors), camera, (0.0, 0.0, 0.0)).color
-    return torch.autograd.grad(picture[..., 0].sum(), colors)[0][:, 0]
 
 
 def seen(run: Run, margin: float = MARGIN, progress: bool = False) -> np.ndarray:
@@ -59,16 +46,6 @@ def seen(run: Run, margin: float = MARGIN, progress: bool = False) -> np.ndarray
     near = cKDTree(points[found]).query(points[~found], distance_upper_bound=margin)[0]
     found[~found] = np.isfinite(near)
     return found
-
-
-@torch.no_grad()
-def posed(run: Run, motion: Motion, frame: int) -> Gaussians:
-    """The trained avatar's Gaussians in the pose of one frame of `motion`, torch tensors."""
-    one = motion.taken([frame])
-    poses = check_motion_fits(one.poses, run.built.body.data.num_joints)
-    attributes = run.avatar.attributes(pose_features(run.avatar, run.built, poses))
-    table = MotionTable(one, poses.shape[1])
-    return run.avatar.pose(attributes, *table(), table.expression())[0]
 
 
 @torch.no_grad()

@@ -14,10 +14,12 @@ import gavatar.export as module
 from gavatar import graphs
 from gavatar.build import build_rasterizer as training_rasterizer
 from gavatar.config import compose_config
+from gavatar.evaluation import posed
 from gavatar.export import export
 from gavatar.graphs import fold_batchnorm
 from gavatar.training.run import open_run, train
-from gavatar.unseen import difference, pixel_weights, posed, seen
+from gavatar.unseen import difference, seen
+from gavatar.visibility import pixel_weights
 from gavatar_runtime import native_library
 from gavatar_runtime.avatar import Avatar as PlayedAvatar
 from gavatar_runtime.bundle import pack_surfaces, read_bundle

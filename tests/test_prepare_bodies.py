@@ -5,9 +5,18 @@ import json
 
 import numpy as np
 import pytest
-import torch
 from official_bodies import dressed_free_body, write_npz
-from test_prepare import QUICK, cameras_around, data, footage, joint_error, plausible_motion, run, seen_by  # noqa: F401
+from test_prepare import (  # noqa: F401  (fixtures among them)
+    QUICK,
+    cameras_around,
+    data,
+    footage,
+    joint_error,
+    one_thread,
+    plausible_motion,
+    run,
+    seen_by,
+)  # fmt: skip
 
 from gavatar.body_files import FAMILIES, read_body
 from gavatar.build import build_body, capture_on_body
@@ -19,14 +28,6 @@ from gavatar.registry import load_plugins
 from gavatar_plugins.bodies.free import load_free_body
 
 FILES = {"smpl": "SMPL_FEMALE.npz", "smplh": "SMPLH_FEMALE.npz", "smplx": "SMPLX_FEMALE.npz"}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from tiny_capture import SMALL, write_tiny_capture
 from gavatar.blendshapes import expression_of
 from gavatar.build import build_body, capture_on_body, open_capture
 from gavatar.config import compose_config
-from gavatar.evaluation import evaluate, motion_errors, part_errors
+from gavatar.evaluation import evaluate, motion_errors, part_errors, posed
 from gavatar.export import export
 from gavatar.files import load_tensors
 from gavatar.placement import Placement
@@ -23,7 +23,6 @@ from gavatar.registry import BODIES
 from gavatar.reporting import table
 from gavatar.surface import sample_surface
 from gavatar.training.run import open_run, train
-from gavatar.unseen import posed
 from gavatar_runtime.avatar import Avatar
 from gavatar_runtime.bundle import read_bundle
 from gavatar_runtime.cli.play import main as play
