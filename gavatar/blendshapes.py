@@ -10,12 +10,14 @@ from gavatar_runtime.kinematics import moved_rest
 from gavatar_runtime.pose_blendshapes import PoseBlendshapes
 from gavatar_runtime.surface import Surface
 
+from .surface import interpolate
+
 
 def at_points(body: BodyData, surface: Surface, directions: np.ndarray) -> np.ndarray:
     """(N, 3, C) directions at the surface's points, in the rest pose, from those of the vertices (V, 3, C)."""
-    weights = surface.barycentric.astype(directions.dtype)
-    corners = body.faces[surface.face]
-    return sum(weights[:, i, None, None] * directions[corners[:, i]] for i in range(3))
+    flat = directions.reshape(len(directions), -1)[body.faces]
+    values = interpolate(flat, surface.face, surface.barycentric.astype(directions.dtype))
+    return values.reshape(-1, *directions.shape[1:])
 
 
 def canonical_rotations(surface: Surface) -> np.ndarray:

@@ -152,10 +152,15 @@ class _Resized(Capture):
     original: Capture | None = None
 
     def load(self, view: View) -> tuple[np.ndarray, np.ndarray]:
+        return self._sized(view, self.original.load(view))
+
+    def read(self, view: View) -> tuple[np.ndarray, np.ndarray]:
+        return self._sized(view, self.original.read(view))
+
+    def _sized(self, view: View, images: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         camera = self.camera(view)
-        color, alpha = self.original.load(view)
-        mode = cv2.INTER_AREA if camera.width < color.shape[1] else cv2.INTER_LINEAR
-        return tuple(cv2.resize(image, (camera.width, camera.height), interpolation=mode) for image in (color, alpha))
+        mode = cv2.INTER_AREA if camera.width < images[0].shape[1] else cv2.INTER_LINEAR
+        return tuple(cv2.resize(image, (camera.width, camera.height), interpolation=mode) for image in images)
 
 
 def read_image(path: Path, flag: int) -> np.ndarray:

@@ -48,7 +48,7 @@ class StageConfig:
 
 @dataclasses.dataclass
 class MotionConfig:
-    """How the body motion is optimised in stage 1. enabled: off gives the paper's baseline. lr: radians a step;
+    """How the body motion is optimised. enabled: off gives the paper's baseline. lr: radians a step;
     lr_trans: metres a step. start, end: fractions of the stage between which it is optimised. joints: how many of the
     first joints are corrected. sharing: seconds over which neighbouring frames are corrected alike at the start (the
     standard deviation of `gavatar.motion.shared_frames`; 0: each frame learns from its own images alone);

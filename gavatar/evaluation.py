@@ -123,7 +123,7 @@ def posed(run: Run, motion: Motion, frame: int) -> Gaussians:
     one = motion.taken([frame])
     poses = check_motion_fits(one.poses, run.built.body.data.num_joints)
     attributes = run.avatar.attributes(pose_features(run.avatar, run.built, poses))
-    table = MotionTable(one, poses.shape[1])
+    table = MotionTable(one, poses.shape[1]).to(run.avatar.features.device)
     return run.avatar.pose(attributes, *table(), table.expression())[0]
 
 

@@ -234,7 +234,7 @@ def _manifest(run: Run) -> Manifest:
             "train_views": len(run.capture.views(config.train_split)),
             "uv_resolution": run.uv,
             "seed": config.seed,
-            "pixel_m": run.pixel,
+            "pixel_m": run.pixel and run.pixel / run.config.rasterizer.get("resolution", 1.0),  # played at the full one
         },
         rasterizer={name: config.rasterizer[name] for name in SWITCHES if config.rasterizer.get(name)},
     )

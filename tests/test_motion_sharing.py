@@ -157,3 +157,10 @@ def test_training_moves_the_frames_between_those_shown(tmp_path):
     assert moved[0].sum() == 1
     assert moved[1].sum() == 6  # the tiny capture's six training frames lie within half a second
     assert not moved[1][trainer.frames[-1] + 1 :].any()  # held-out frames never move
+
+
+def test_the_motion_of_some_frames_has_their_expressions():
+    expression = np.arange(10, dtype=np.float32).reshape(5, 2)
+    zero = np.zeros((5, 24, 3), np.float32), np.zeros((5, 3), np.float32)
+    table = MotionTable(Motion(*zero, 30.0, np.zeros(10, np.float32), "e", expression=expression), 24)
+    np.testing.assert_array_equal(table.motion(rows=[3, 1]).expression, expression[[3, 1]])

@@ -106,6 +106,7 @@ def test_the_command_fits_official_bodies(models, family, footage, tmp_path, mon
     [
         (["--body", "smplx"], "no neutral SMPL-X model was found"),
         (["--gender", "female"], "--body-path and --gender are for the official bodies"),
+        (["--body", "auto", "--gender", "female"], "--body-path and --gender are for the official bodies"),
         (["--body", "smpll"], "smpll"),
         (["--num-betas", 0], "--num-betas 0 is out of range"),
     ],

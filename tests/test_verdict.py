@@ -98,3 +98,15 @@ def test_encoder_auto_is_the_u_net_on_trial(capture):
 def test_impossible_options_are_refused(capture, option):
     with pytest.raises(UserError, match="dynamics"):
         check(compose_config([f"capture={capture}", "out=x", option]))
+
+
+@pytest.mark.parametrize("dynamics", ["always", "auto"])
+def test_a_finished_run_given_again_stays_as_it_is(capture, tmp_path, dynamics):
+    run(capture, tmp_path, f"dynamics={dynamics}", "dynamics_gain=-50")
+    before = json.loads((tmp_path / "metrics.json").read_text())
+    assert before["gaussians"] > 0
+    run(capture, tmp_path, f"dynamics={dynamics}", "dynamics_gain=-50")
+    after = json.loads((tmp_path / "metrics.json").read_text())
+    assert {k: after[k] for k in ("gaussians", "history", "verdicts")} == {
+        k: before[k] for k in ("gaussians", "history", "verdicts")
+    }

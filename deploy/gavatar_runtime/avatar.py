@@ -17,6 +17,7 @@ from .expression import Expression
 from .folding import folded, still_joints
 from .gaussians import Gaussians
 from .motion import Motion
+from .plugins import load_entry_points
 from .pose_blendshapes import MEMBER as POSE_BLENDSHAPES
 from .pose_blendshapes import PoseBlendshapes, Turns
 from .residuals import empty
@@ -252,6 +253,8 @@ class Avatar:
 
     def _build_tier(self, name: str, parts: Parts):
         tiers, stored = player_tiers(), stored_tiers(self.bundle)
+        if name not in tiers:
+            load_entry_points()
         tiers[name]  # an unknown name is told from one that this bundle lacks
         if name not in stored:
             raise UserError(

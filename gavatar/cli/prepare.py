@@ -148,7 +148,7 @@ def _prepare(arguments: argparse.Namespace, frames: slice, masks: Path) -> int:
     load_plugins()
     options = {"path": arguments.body_path, "gender": arguments.gender}
     options = {key: value for key, value in options.items() if value is not None}
-    if options and arguments.body == "free":
+    if options and CALLED.get(arguments.body, arguments.body) == "free":
         raise UserError("--body-path and --gender are for the official bodies: give --body smpl, smplh or smplx too")
     data = BODIES.build(arguments.body, options).data  # before the footage, which takes long
     places = {key: getattr(arguments, key) for key in ("landmarks", "masks", "cameras", "fps", "size")}

@@ -226,13 +226,14 @@ class _Stage:
                 self._save(step + 1)
         bar.close()
         trainer.seconds[self.number] += time.perf_counter() - clock
-        if steps == 0:
+        if start >= steps:  # nothing is left to do, or there never was: no step has placed the points
             trainer.avatar.sample_at(trainer.built.surface(self.config.levels[-1].uv))
-        if self.moves and trainer.config.motion.guard and start < steps:
-            trainer.verdicts["frames_kept_as_estimated"] = refuse_worse_poses(trainer, self.number)
+        result = self._judged()  # before the guard, which chooses poses by the very views that judge
+        if self.moves and trainer.config.motion.guard and start < steps and result != REFUSED:
+            name = "frames_kept_as_estimated" + ("" if self.number == 1 else "_stage2")
+            trainer.verdicts[name] = refuse_worse_poses(trainer, self.number)
         if self.number == 1 and trainer.config.fill_unseen and start < steps:
             trainer.verdicts["unseen"] = fill_unseen(trainer)
-        result = self._judged()
         save_tensors(trainer.directory / result, self._avatar_state())
         self._save(steps)
         if result == REFUSED:  # the avatar is stage 1's, and so are its poses
@@ -354,10 +355,8 @@ class _Stage:
         if self.number == 2:
             pose_features = avatar.encode(*trainer.pose_inputs(frames))
         attributes = avatar.attributes(pose_features)
-        all_rotations, all_trans = trainer.motion(trainer.frames)
-        at = [trainer._frame_row[f] for f in frames]
         images, alphas = [], []
-        posed = avatar.pose(attributes, all_rotations[at], all_trans[at], trainer.motion.expression(frames))
+        posed = avatar.pose(attributes, *trainer.motion(frames), trainer.motion.expression(frames))
         for row, gaussians in zip(rows, posed, strict=True):
             rendering = trainer.rasterize(gaussians, data.cameras[row], background.to(trainer.device))
             images.append(rendering.color.permute(2, 0, 1))

@@ -14,7 +14,8 @@ from gavatar_runtime.errors import UserError
 @dataclasses.dataclass
 class UNetConfig:
     """width: channels after the first convolution (doubled twice, then capped at 8x). norm: `batch` as published, or
-    `group`, which computes the same in training and evaluation. map_size: side of the positional map, a multiple of 32.
+    `group`, which computes the same in training and evaluation. map_size: side of the positional map, a multiple of 32
+    from 64 on.
     """
 
     width: int = 32
@@ -32,8 +33,8 @@ class UNetEncoder(nn.Module):
 
     def __init__(self, config: UNetConfig, *, channels: int, map_size: int | None = None):
         super().__init__()
-        if config.map_size % 32 or config.map_size < 32:
-            raise UserError(f"encoder.map_size must be a multiple of 32, not {config.map_size}")
+        if config.map_size % 32 or config.map_size < 64:
+            raise UserError(f"encoder.map_size must be a multiple of 32 from 64 on, not {config.map_size}")
         self.map_size = config.map_size
         w = config.width
         widths = [w, 2 * w, 4 * w, 8 * w, 8 * w]
@@ -45,7 +46,7 @@ class UNetEncoder(nn.Module):
         for level, (inside, outside) in enumerate(zip([3, *widths[:-1]], widths, strict=True)):
             block: list[nn.Module] = [] if level == 0 else [nn.LeakyReLU(0.2)]
             block.append(nn.Conv2d(inside, outside, 4, 2, 1, bias=False))
-            # the innermost map is 4x4 (1x1 for a 32-pixel map): statistics over so few values are noise
+            # the innermost map is 4x4 (2x2 for a 64-pixel map): statistics over so few values are noise
             if 0 < level < len(widths) - 1:
                 block.append(norm(outside))
             self.down.append(nn.Sequential(*block))
