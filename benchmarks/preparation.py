@@ -1,6 +1,6 @@
 """How well raw video is prepared: a capture with known truth is made into a video, and everything is found again.
 
-    python benchmarks/preparation.py ../shared/captures/studio_male --out /tmp/preparation
+    python benchmarks/preparation.py studio_male --out DIR
 
 Prints, against the capture's truth: the masks' intersection over union, MPJPE (root-aligned, the camera's axes) and
 PA-MPJPE of the fitted body before any training, of the silhouettes, and both joint errors after stage 1. The camera is

@@ -1,7 +1,7 @@
 """What real footage gives, where no truth is known but the pictures: several calibrated cameras, one held out.
 
-    python benchmarks/real_captures.py ../shared/captures/real_p2s --holdout cam04 --out /tmp/real --figure real.jpg
-    python benchmarks/real_captures.py ../shared/captures/real_turn/video.mp4 --out /tmp/turn
+    python benchmarks/real_captures.py real_p2s --holdout cam04 --out DIR --figure real.jpg
+    python benchmarks/real_captures.py real_turn/video.mp4 --out DIR
 
 FOOTAGE is a video or a folder as `gavatar-prepare` takes them. It is prepared, an avatar is trained (stage 1, no
 dynamics, sized for two CPU cores), and these are measured:

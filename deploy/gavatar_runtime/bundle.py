@@ -5,7 +5,8 @@
 | manifest.json | `Manifest`: what the avatar is, where it came from, SHA-256 of every other member |
 | surface.npz | the places of the Gaussians, and of the encoder's positional map: `pack_surfaces` |
 | body.npz | skeleton and shape for viewers: joint_names, parents, joints, betas: `pack_body` |
-| decoder.onnx | -> offsets (N, 3), colors (N, 3), scales (N,); input pose_features (1, C, M, M) if dynamic, else none |
+| decoder.onnx | -> offsets (N, 3), colors (N, 3), scales (N,); no input, or if dynamic: pose_features (1, C, M, M) |
+| | and, optional, rows (M,) int32: then only those Gaussians are decoded, in that order |
 | encoder.onnx | dynamic avatars only: any of `pose_inputs.INPUTS` -> pose_features (1, C, M, M) |
 
 Further members (cheaper tiers) may stand beside these; they are listed and checked the same way. No member holds

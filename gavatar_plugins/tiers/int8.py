@@ -1,4 +1,4 @@
-"""Builds the tier `int8`: both networks in 8-bit arithmetic, calibrated on the capture's poses."""
+"""Builds the tier `int8`: the decoder in 8-bit arithmetic, calibrated on the capture's poses."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Int8Options:
     encoder: bool = False
 
 
-@TIERS.register("int8", config=Int8Options, summary="the networks in 8-bit arithmetic")
+@TIERS.register("int8", config=Int8Options, summary="the decoder in 8-bit arithmetic")
 class Int8Builder:
     """decoder_int8.onnx and encoder_int8.onnx. The encoder stays in float32 unless asked for: it is a thirtieth of the
     time at 200,000 Gaussians, and its error is added to every point's."""

@@ -1,4 +1,4 @@
-"""The tier `full`: the networks as they were trained, in float32; and `int8`, the same networks in 8-bit arithmetic."""
+"""The tier `full`: the networks as they were trained, in float32; and `int8`, the decoder in 8-bit arithmetic."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class Full:
         return out[0]
 
 
-@PLAYER_TIERS.register("int8", summary="the networks in 8-bit arithmetic, calibrated on the capture's poses")
+@PLAYER_TIERS.register("int8", summary="the decoder in 8-bit arithmetic, calibrated on the capture's poses")
 class Int8(Full):
     """As `full`, by the quantised members."""
 
