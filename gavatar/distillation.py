@@ -13,11 +13,10 @@ from tqdm import tqdm
 
 from gavatar_runtime.body import SMPL_BODY_JOINTS
 from gavatar_runtime.residuals import grouped
-from gavatar_runtime.surface import Surface
 from gavatar_runtime.tiers.blendshape import pose_input
 
 from .attributes import encoder_inputs
-from .tiers import TierSource, part_of_points, upsampling
+from .tiers import TierSource, joint_of_points, upsampling
 
 LENGTH_WEIGHT = 20.0  # per metre: 5 mm, about a pixel of a person 400 pixels tall, count as a tenth of the colour range
 PROTOTYPES = 128  # of the capture's poses, that the distance of another is taken from
@@ -49,8 +48,10 @@ def distil(
 
     for row, residual in zip(residuals, decoded(poses, "distilling poses"), strict=True):
         row[:] = residual
-    part = part_of_points(coarse)
-    count = int(part.max()) + 1
+    # numbered on the coarse surface, which is the whole body: the fine one may lack parts that no camera saw
+    joint, fine_joint = joint_of_points(coarse), joint_of_points(source.surface)
+    owners, part = np.unique(joint, return_inverse=True)
+    count = len(owners)
     coefficients = np.zeros((len(poses), count, rank), np.float32)
     bases = np.zeros((len(coarse), rank, 7), np.float32)
     for p in range(count):
@@ -73,9 +74,10 @@ def distil(
     layers = _fit_network(inputs, flat, len(source.train_poses), width, steps, source.progress)
 
     index, mixing = upsampling(coarse, source.surface)
-    fine_part = part_of_points(source.surface)
+    # a joint that carries no coarse point has no bases: its points stay still, whatever part they are counted to
+    fine_part = np.minimum(np.searchsorted(owners, fine_joint), count - 1).astype(np.uint8)
     # a point takes bases of its own part only: another part's have other coefficients
-    mixing = mixing * (part[index] == fine_part[:, None])
+    mixing = mixing * (joint[index] == fine_joint[:, None])
     lost = mixing.sum(1) < 0.05
     mixing /= np.maximum(mixing.sum(1, keepdims=True), 1e-6)
     mixing[lost] = 0
@@ -94,7 +96,7 @@ def distil(
         "input_low": inputs.min(0),
         "input_high": inputs.max(0),
         "seen": _spread_rows(inputs[: len(source.train_poses)], PROTOTYPES).astype(np.float16),
-        "near": _neighbours(source.surface, fine_part, joints),
+        "near": _neighbours(np.asarray(coarse.parents), owners, joints),
         "fade": np.array(FADE, np.float32),
     }
     for i, (w, b) in enumerate(layers):
@@ -107,15 +109,10 @@ def _spread_rows(rows: np.ndarray, count: int) -> np.ndarray:
     return rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(int))]
 
 
-def _neighbours(surface: Surface, part: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """(P, len(joints)) bool: those of `joints` that bend each body part: its own, its parent and its children."""
-    parents = np.asarray(surface.parents)
-    strongest = np.take_along_axis(surface.joint_index, surface.joint_weight.argmax(1)[:, None], 1)[:, 0]
-    near = np.zeros((int(part.max()) + 1, len(joints)), bool)
-    for p in range(len(near)):
-        own = np.bincount(strongest[part == p], minlength=len(parents)).argmax()
-        near[p] = (joints == own) | (joints == parents[own]) | (parents[joints] == own)
-    return near
+def _neighbours(parents: np.ndarray, owners: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """(P, len(joints)) bool: those of `joints` that bend the part of each owner: its own, its parent, its children."""
+    own = owners[:, None]
+    return (joints == own) | (joints == parents[own]) | (parents[joints] == own)
 
 
 def _principal(rows: np.ndarray, rank: int) -> tuple[np.ndarray, np.ndarray]:

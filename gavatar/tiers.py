@@ -100,10 +100,10 @@ class TierSource:
 
     def wide_poses(self, count: int, seed: int = 0) -> np.ndarray:
         """(count, J, 3) poses over a body's range of motion, filmed or not: each limb either bent anywhere within it
-        (`RANGE`) or as in a training frame of its own."""
-        rng = np.random.default_rng(seed)
+        (`RANGE`) or as `random_poses` has it."""
+        rng = np.random.default_rng((seed, 1))  # what is bent is drawn apart from what it is bent from
         parents = self.run.built.body.data.parents
-        limb, poses = limb_of_joints(parents), self.random_poses(count, seed)
+        limb, poses = limb_of_joints(parents), self.random_poses(count, seed + 1000)  # not those of the bases again
         bent = rng.random((count, int(limb.max()) + 1)) < 0.5
         for joint, (low, high) in RANGE.items():
             drawn = rng.uniform(low, high, (count, 3))
@@ -123,15 +123,15 @@ def limb_of_joints(parents: np.ndarray) -> np.ndarray:
     return limb
 
 
-def part_of_points(surface: Surface) -> np.ndarray:
-    """(N,) body part of each point, 0 to P - 1 of those that occur: the joint that carries it most, small joints
-    (fingers, jaw, eyes) counted to the body joint they hang from."""
+def joint_of_points(surface: Surface) -> np.ndarray:
+    """(N,) the joint that carries each point most, small joints (fingers, jaw, eyes) counted to the body joint they
+    hang from: a point's body part, named alike on every surface of a body."""
     parents = np.asarray(surface.parents)
     body = np.arange(len(parents))
     for joint in range(SMPL_BODY_JOINTS, len(parents)):
         body[joint] = body[parents[joint]]
     strongest = np.take_along_axis(surface.joint_index, surface.joint_weight.argmax(1)[:, None], 1)[:, 0]
-    return np.unique(body[strongest], return_inverse=True)[1].astype(np.uint8)
+    return body[strongest]
 
 
 def upsampling(coarse: Surface, fine: Surface) -> tuple[np.ndarray, np.ndarray]:

@@ -16,6 +16,7 @@ from time import perf_counter
 import numpy as np
 import torch
 
+from gavatar_runtime import native_library
 from gavatar_runtime.avatar import Avatar
 from gavatar_runtime.bundle import Bundle, read_bundle
 from gavatar_runtime.camera import Camera
@@ -148,7 +149,8 @@ def default_choices(bundle: Bundle, auto_uv: int | None = None) -> list[Choice]:
     cheap = [t for t in ("blendshape", "baked") if t in stored] or stored
     networks = [t for t in ("full", "int8", "coarse") if t in stored] if bundle.manifest.dynamic else []
     choices += [Choice(tier, uv=uv) for tier in cheap for uv in levels]
-    choices += [Choice(tier, **switch) for tier in cheap for switch in SWITCHES]
+    if native_library.available()[0]:  # they are the compiled kernel's
+        choices += [Choice(tier, **switch) for tier in cheap for switch in SWITCHES]
     choices += [Choice(tier, reuse=k) for tier in networks if tier != "full" for k in (2, 4)]
     choices += [
         Choice(tier, seen_only=True) for tier in networks if Choice(tier, seen_only=True).open(bundle).seen_only

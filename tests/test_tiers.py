@@ -12,11 +12,12 @@ import torch
 from tiny_capture import SMALL, write_tiny_capture
 from torch import nn
 
+from gavatar.distillation import distil
 from gavatar.export import export, on_front
 from gavatar.graphs import bilinear, subpixel
 from gavatar.registry import TIERS, load_plugins
 from gavatar.sampling import sample_uv
-from gavatar.tiers import RANGE, TierSource, limb_of_joints, part_of_points, upsampling
+from gavatar.tiers import RANGE, TierSource, joint_of_points, limb_of_joints, upsampling
 from gavatar.tradeoff import Choice, Row, compare, default_choices, images, mark_dominated
 from gavatar.training.run import open_run, train
 from gavatar_runtime import native_library, residuals
@@ -516,10 +517,9 @@ def test_limbs_and_parts_follow_the_skeleton(run):
     assert limb[1] == limb[4] == limb[7] == limb[10] > 0
     assert limb[20] == limb[22]  # fingers with their arm
     assert len({limb[1], limb[2], limb[13], limb[14], 0}) == 5
-    part = part_of_points(run.avatar.surface)
-    assert part.min() == 0
-    assert part.max() < 22
-    assert len(np.unique(part)) == part.max() + 1
+    joint = joint_of_points(run.avatar.surface)
+    assert joint.min() == 0
+    assert joint.max() < 22  # fingers count to their hand
 
 
 def test_upsampling_reproduces_a_smooth_function_on_the_body(run):
@@ -541,3 +541,18 @@ def test_grouped_bases_mean_what_they_say():
     points = residuals.blendshapes(base, part, residuals.grouped(basis), padded, gains, residuals.empty(3))[0]
     expected = 1e-3 * np.einsum("nkc,k->nc", basis.astype(np.float32), w)[:, :3]
     np.testing.assert_allclose(points, expected, atol=1e-6)
+
+
+def test_body_parts_without_points_keep_the_others_bases_in_place(run):
+    whole = run.avatar.surface
+    joint = joint_of_points(whole)
+    assert (joint == 0).any()
+    kept = np.flatnonzero(joint != 0)  # the first part's numbers are not to be taken by the second
+    options = {"rank": 4, "uv": 64, "samples": 4, "wide": 4, "width": 8, "steps": 5}
+    all_of_it = distil(TierSource(run, whole, lambda model: b"", False), **options)
+    cut = distil(TierSource(run, whole.take(kept), lambda model: b"", False), **options)
+    np.testing.assert_array_equal(cut["part"], all_of_it["part"][kept])
+    np.testing.assert_array_equal(cut["near"], all_of_it["near"])
+    assert cut["near"].any(1).all()  # every part hangs on some joint
+    steps = [a["basis"] * a["gains"][a["part"]][:, None, :, None] for a in (cut, all_of_it)]
+    np.testing.assert_allclose(steps[0], steps[1][kept], atol=all_of_it["gains"].max())  # half a step of int8 each

@@ -175,5 +175,7 @@ def camera_struct(camera) -> CameraStruct:
 
 def check(code: int) -> None:
     """Turn a kernel's return code into an exception."""
+    if code == -2:
+        raise IndexError("native kernel: an index or a size lies outside what the arrays hold")
     if code:
         raise MemoryError("native rasterizer: out of memory")

@@ -60,11 +60,12 @@ class Network:
             feeds[ROWS] = rows
         if out is None:
             return self._session.run(self._outputs, feeds)
+        feeds = {name: np.ascontiguousarray(array) for name, array in feeds.items()}  # alive until the run is over
         self._binding.clear_binding_inputs()
         self._binding.clear_binding_outputs()
         for name, array in feeds.items():
             # by value: `bind_cpu_input` knows no input that has a default
-            self._binding.bind_ortvalue_input(name, self._value(np.ascontiguousarray(array)))
+            self._binding.bind_ortvalue_input(name, self._value(array))
         for name, array in zip(self._outputs, out, strict=True):
             self._binding.bind_output(name, "cpu", 0, array.dtype, array.shape, array.ctypes.data)
         self._session.run_with_iobinding(self._binding)

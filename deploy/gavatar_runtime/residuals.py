@@ -49,6 +49,7 @@ def blendshapes(
     )
     _check(basis.shape[2:] == (8, 4), "shapes")
     _check((base.dtype, part.dtype, basis.dtype) == (np.float32, np.uint8, np.int8), "dtypes")
+    _check_layout(count, (base, part, basis), out)
     arrays = (x.ctypes.data for x in (base, part, basis, coefficients, gains, *out))
     _done(nl.library().gv_blendshapes(count, groups, len(gains), *arrays), "part", len(gains))
     return out
@@ -64,7 +65,9 @@ def upsample(base: np.ndarray, index: np.ndarray, weight: np.ndarray, table: np.
     _check(base.shape == (len(index), 8) and weight.shape == index.shape and table.shape[1] == 8, "shapes")
     dtypes = (base.dtype, index.dtype, weight.dtype, table.dtype)
     _check(dtypes == (np.float32, np.int32, np.float32, np.float32), "dtypes")
-    arrays = (x.ctypes.data for x in (base, index, weight, np.ascontiguousarray(table), *out))
+    table = np.ascontiguousarray(table)  # a name that outlives the call
+    _check_layout(len(base), (base, index, weight), out)
+    arrays = (x.ctypes.data for x in (base, index, weight, table, *out))
     _done(nl.library().gv_upsample(*index.shape, len(table), *arrays), "index", len(table))
     return out
 
@@ -98,6 +101,13 @@ def _unpacked(values: np.ndarray, out: Attributes) -> Attributes:
 def _check(sound: bool, what: str) -> None:
     if not sound:
         raise ValueError(f"residuals: the arrays' {what} do not belong together")
+
+
+def _check_layout(count: int, arrays: tuple[np.ndarray, ...], out: Attributes) -> None:
+    """The kernel reads and writes by bare pointers: every array contiguous, and `out` float32 of `count` rows."""
+    _check(all(a.flags.c_contiguous for a in (*arrays, *out)), "layout")
+    _check([a.shape for a in out] == [(count, 3), (count, 3), (count,)], "shapes")
+    _check(all(a.dtype == np.float32 for a in out), "dtypes")
 
 
 def _done(code: int, name: str, limit: int) -> None:

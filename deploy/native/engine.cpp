@@ -576,6 +576,7 @@ GV_API int32_t gv_skin_backward(int64_t count, int32_t slots, int32_t joints, in
 GV_API int32_t gv_ssim(int64_t planes, int32_t height, int32_t width, int32_t taps_y, int32_t taps_x,
                        const float* column, const float* line, const float* x, const float* y, double* values,
                        float* gradients) {
+  if (taps_y < 1 || taps_x < 1 || taps_y > 11 || taps_x > 11 || taps_y > height || taps_x > width) return -2;
   return guarded([&](Engine& e) {
     const Kernels& kernels = e.kernels();
     e.prepare();
