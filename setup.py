@@ -48,7 +48,7 @@ def compile_library(target: Path, flags: list[str] | None = None) -> None:
         raise OSError("no C++ compiler was found")
     x86 = platform.machine().lower() in ("x86_64", "amd64") and sys.maxsize > 2**32
     sets = X86 if x86 else {"baseline": []}
-    jobs = [("engine", "engine.cpp", []), ("pool", "pool.cpp", [])]
+    jobs = [("engine", "engine.cpp", []), ("pool", "pool.cpp", []), ("resize", "resize.cpp", [])]
     jobs += [(name, "kernels.cpp", [*extra, f"-DGV_NAMESPACE={name}"]) for name, extra in sets.items()]
     flags = [*FLAGS, *(flags or []), *([] if x86 else ["-DGV_BASELINE_ONLY"])]
     with tempfile.TemporaryDirectory() as folder:

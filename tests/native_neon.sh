@@ -52,7 +52,7 @@ CPP
 build() { # compiler, output, flags...
     compiler=$1; output=$2; shift 2
     "$compiler" -std=c++17 -O2 -fno-math-errno -fno-trapping-math -ffp-contract=fast -w -DGV_BASELINE_ONLY \
-        -DGV_NAMESPACE=baseline -Ideploy/native "$@" deploy/native/engine.cpp deploy/native/pool.cpp \
+        -DGV_NAMESPACE=baseline -Ideploy/native "$@" deploy/native/engine.cpp deploy/native/pool.cpp deploy/native/resize.cpp \
         deploy/native/kernels.cpp "$WORK/draw.cpp" -o "$output" -pthread
 }
 build aarch64-linux-gnu-g++ "$WORK/arm" -static

@@ -26,7 +26,7 @@ from gavatar_runtime import native_library as nl
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.gaussians import Gaussians
 from gavatar_runtime.player import player_rasterizers
-from gavatar_runtime.rasterizers.native import NativeConfig
+from gavatar_runtime.rasterizers.native import NativeConfig, resize
 from gavatar_runtime.rasterizers.native import NativeRasterizer as Player
 from gavatar_runtime.rasterizers.rules import LOW_PASS
 from gavatar_runtime.skinning import skin, skin_gradients
@@ -241,6 +241,22 @@ def test_reduced_resolution_fills_the_whole_image(size):
     assert rendering.color.shape == (size[1], size[0], 3)
     assert rendering.alpha.shape == rendering.depth.shape == (size[1], size[0])
     np.testing.assert_allclose(rendering.depth, 0.99, atol=1e-3)  # ALPHA_MAX of a wall at 1 m
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7, 3), (9, 1), (40, 31, 3), (64, 48), (255, 256, 3)])
+@pytest.mark.parametrize("to", [(1, 1), (37, 53), (128, 96), (511, 300)])
+def test_images_are_enlarged_as_opencv_does_it(shape, to):
+    cv2 = pytest.importorskip("cv2")
+    image = np.random.default_rng(0).random(shape, np.float32)
+    out = np.empty((*to, *shape[2:]), np.float32)
+    resize(image, out)
+    expected = cv2.resize(image, to[::-1], interpolation=cv2.INTER_LINEAR).reshape(out.shape)
+    # cv2 rounds where a pixel lies to float32: 1e-5 of a pixel at 256, times differences of up to 1
+    np.testing.assert_allclose(out, expected, atol=5e-5, rtol=0)
+    image8, out8 = np.rint(255 * image).astype(np.uint8), np.empty(out.shape, np.uint8)
+    resize(image8, out8)
+    expected = cv2.resize(image8, to[::-1], interpolation=cv2.INTER_LINEAR).reshape(out.shape)
+    assert np.abs(out8.astype(int) - expected).max() <= 1  # cv2 rounds its weights to 11 bits
 
 
 def compensated(scene: Gaussians, camera) -> Gaussians:

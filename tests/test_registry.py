@@ -265,11 +265,22 @@ def test_shipped_components_have_a_summary_and_name_their_distribution():
 def test_every_module_named_for_an_extra_is_one_that_pyproject_lists():
     tomllib = pytest.importorskip("tomllib")
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    brought_by = {"omegaconf": "hydra_core", "cv2": "opencv_contrib_python_headless"}
     for extra, modules in EXTRAS.items():
         names = " ".join(declared[extra]).replace("-", "_")
         for module in modules:
-            # omegaconf has no line of its own: it comes with hydra-core
-            assert module == "omegaconf" or module in names, f"{module} is not in extra {extra}"
+            assert brought_by.get(module, module) in names, f"{module} is not in extra {extra}"
+
+
+def test_the_extras_bring_one_wheel_of_opencv_by_one_line():
+    """Two of OpenCV's wheels in one environment overwrite each other's files."""
+    tomllib = pytest.importorskip("tomllib")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    (line,) = {line for lines in extras.values() for line in lines if line.startswith("opencv")}
+    assert line in extras["train"]
+    assert line in extras["video"]
+    assert not [line for line in project["dependencies"] if line.startswith("opencv")]
 
 
 def test_submodules_belong_to_the_extra_of_their_package():

@@ -63,6 +63,8 @@ _SIGNATURES = {
     "gv_upsample": (_I, [_L, _I, _I] + [_P] * 7),
     "gv_ssim": (_I, [_L, _I, _I, _I, _I] + [_P] * 6),
     "gv_sparse_product": (_I, [_L, _I, _I] + [_P] * 5),
+    "gv_resize": (_I, [_I, _I, _I, _P, _I, _I, _P]),
+    "gv_resize8": (_I, [_I, _I, _I, _P, _I, _I, _P]),
 }
 
 

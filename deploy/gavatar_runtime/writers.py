@@ -10,15 +10,17 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
 
 from .errors import UserError, did_you_mean
 from .files import atomic, put_in_place, temporary_beside
+from .png import write_png
 from .registry import Registry
+from .video import INSTALL, require_encoder
 
 FRAME_NAME = "{:06d}.png"
 
@@ -62,49 +64,49 @@ def to_bytes(color: np.ndarray) -> np.ndarray:
     return np.rint(np.clip(np.nan_to_num(color), 0, 1) * 255).astype(np.uint8)
 
 
-@WRITERS.register("video", summary="an .mp4 video (MPEG-4 Part 2)")
+@WRITERS.register("video", summary="an .mp4 video, by OpenCV or the program ffmpeg")
 class VideoFile:
     """Odd sides are padded by one row or column of background: the codec halves its colour planes."""
 
     suffixes = (".mp4",)
 
     def __init__(self, path: Path, *, width: int, height: int, fps: float, background):
-        self.path, self.fps, self.count = path, fps, 0
-        self.pad = (height % 2, width % 2)
-        self.border = tuple(int(v) for v in to_bytes(np.asarray(background))[::-1])
+        encoder = require_encoder(path)
+        self.path, self.count = path, 0
+        self._even = np.empty((height + height % 2, width + width % 2, 3), np.uint8)
+        self._even[:] = to_bytes(np.asarray(background))
         self._temporary = temporary_beside(path)
-        size = (width + self.pad[1], height + self.pad[0])
-        self._video = cv2.VideoWriter(str(self._temporary), cv2.VideoWriter_fourcc(*"mp4v"), fps, size)
-        if not self._video.isOpened():
-            self.discard()
+        size = self._even.shape[1::-1]
+        try:
+            self._encoder = encoder(self._temporary, *size, fps)
+        except OSError as error:
+            self._temporary.unlink()
             raise UserError(
-                f"{path}: no .mp4 of {size[0]}x{size[1]} pixels at {fps:g} frames per second can be written; choose "
-                "another size, or a folder of frames"
-            )
+                f"{path}: no .mp4 of {size[0]}x{size[1]} pixels at {fps:g} frames per second can be written ({error}); "
+                "choose another size, or a folder of frames"
+            ) from error
 
     def choose(self, count: int) -> list[int]:
         return list(range(count))
 
     def add(self, image: np.ndarray) -> None:
-        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-        if any(self.pad):
-            image = cv2.copyMakeBorder(image, 0, self.pad[0], 0, self.pad[1], cv2.BORDER_CONSTANT, value=self.border)
-        self._video.write(image)
+        if image.shape != self._even.shape:
+            self._even[: image.shape[0], : image.shape[1]] = image
+            image = self._even
+        try:
+            self._encoder.write(image)
+        except OSError as error:
+            raise UserError(f"{self.path} could not be written: {error}") from error
         self.count += 1
 
     def close(self) -> None:
-        self._video.release()
-        # OpenCV reports neither a full disk nor a codec's refusal: read it back
-        video = cv2.VideoCapture(str(self._temporary))
-        whole = video.isOpened() and round(video.get(cv2.CAP_PROP_FRAME_COUNT)) == self.count and video.read()[0]
-        video.release()
-        if not whole:
+        if not self._encoder.finish(self.count):
             self.discard()
             raise UserError(f"{self.path} could not be written whole: is the disk full?")
         put_in_place(self._temporary, self.path)
 
     def discard(self) -> None:
-        self._video.release()
+        self._encoder.abort()
         self._temporary.unlink(missing_ok=True)
 
 
@@ -130,8 +132,10 @@ class FrameFolder:
 
     def add(self, image: np.ndarray) -> None:
         target = self._temporary / FRAME_NAME.format(self.count)
-        if not cv2.imwrite(str(target), cv2.cvtColor(image, cv2.COLOR_RGB2BGR)):
-            raise UserError(f"{self.path}: frame {self.count} could not be written: is the disk full?")
+        try:
+            write_png(target, image)
+        except OSError as error:
+            raise UserError(f"{self.path}: frame {self.count} could not be written: {error.strerror}") from error
         self.count += 1
 
     def close(self) -> None:
@@ -152,6 +156,19 @@ def _check_replaceable(path: Path) -> None:
             raise UserError(f"{path} holds '{entry.name}', which is no frame of an earlier run: give another folder")
 
 
+def _jpeg_writer(path: Path) -> Callable[[Path, np.ndarray], None]:
+    try:
+        import cv2
+    except ImportError:
+        raise UserError(f"{path}: to write a .jpg takes OpenCV ({INSTALL}); a .png does not") from None
+
+    def write(temporary: Path, image: np.ndarray) -> None:
+        if not cv2.imwrite(str(temporary), image[..., ::-1]):
+            raise UserError(f"{path} could not be written: is the disk full?")
+
+    return write
+
+
 @WRITERS.register("sheet", summary="a contact sheet: up to 12 frames on one image")
 class ContactSheet:
     """Frames evenly spaced over the motion, in reading order; one frame alone is simply an image."""
@@ -162,6 +179,7 @@ class ContactSheet:
 
     def __init__(self, path: Path, *, width: int, height: int, fps: float, background):
         self.path = path
+        self._write = write_png if path.suffix.lower() == ".png" else _jpeg_writer(path)
         self.background = to_bytes(np.asarray(background))
         self.images: list[np.ndarray] = []
         temporary_beside(path).unlink()  # a place that cannot be written shows now, not after rendering
@@ -185,8 +203,7 @@ class ContactSheet:
             row, column = divmod(i, columns)
             sheet[row * height : (row + 1) * height, column * width : (column + 1) * width] = image
         with atomic(self.path) as temporary:
-            if not cv2.imwrite(str(temporary), sheet[..., ::-1]):
-                raise UserError(f"{self.path} could not be written: is the disk full?")
+            self._write(temporary, sheet)
 
     def discard(self) -> None:
         self.images = []

@@ -120,3 +120,8 @@ GV_API int32_t gv_ssim(int64_t planes, int32_t height, int32_t width, int32_t ta
 // A sparse matrix (rows as ranges of `offset` (N + 1,)) times a table of `rows` rows of `channels` floats: out (N, channels).
 GV_API int32_t gv_sparse_product(int64_t count, int32_t channels, int32_t rows, const int32_t* offset,
                                  const int32_t* index, const float* weight, const float* table, float* out);
+// An image (H, W) or (H, W, 3) at another size, linearly, as cv2.resize does it; of bytes: rounded. channels: 1 or 3.
+GV_API int32_t gv_resize(int32_t height, int32_t width, int32_t channels, const float* image, int32_t new_height,
+                         int32_t new_width, float* out);
+GV_API int32_t gv_resize8(int32_t height, int32_t width, int32_t channels, const uint8_t* image, int32_t new_height,
+                          int32_t new_width, uint8_t* out);

@@ -41,7 +41,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("avatar", metavar="NAME.gavatar", help="bundle that gavatar-export wrote, zipped or unpacked")
     p.add_argument("--motion", default="turn", metavar="NAME|FILE", help="turn, wave or a motion file (default: turn)")
     p.add_argument(
-        "--out", metavar="PATH", help="X.mp4, X.png (contact sheet) or folder/ (default: next to the bundle)"
+        "--out", metavar="PATH", help="X.mp4, X.png (contact sheet) or folder/ (default: a video next to the bundle)"
     )
     p.add_argument("--ground", action="store_true", help="let the avatar stand on the floor, y = 0")
     p.add_argument("--rest", choices=("offsets", "first-frame"),
@@ -151,7 +151,7 @@ def main(argv: list[str] | None = None) -> int:
         uv = uv_for_size(avatar.surface, size_on_screen(avatar, motion, cameras))
         if uv < WORTH * avatar.surface.resolution:
             avatar = Avatar(bundle, uv=uv, **how)
-    out = arguments.out or _default_output(arguments.avatar, motion.name)
+    out, note = (arguments.out, "") if arguments.out else _default_output(arguments.avatar, motion.name)
     size = {"width": cameras[0].width, "height": cameras[0].height}
     writer = open_writer(out, **size, fps=motion.fps, background=arguments.background)
     ready = perf_counter() - start
@@ -159,6 +159,8 @@ def main(argv: list[str] | None = None) -> int:
         print(
             f"note: rasterizer numpy, many times slower than native: {native_library.available()[1]}", file=sys.stderr
         )
+    if note and not arguments.quiet:
+        print(f"note: {note}", file=sys.stderr)
     if ignored and not arguments.quiet:
         print(f"note: the body has no {_listed(ignored)}; the motion's are ignored", file=sys.stderr)
 
@@ -290,9 +292,15 @@ def _azimuth(text: str, directions: dict[str, float]) -> float:
     raise UserError(f"unknown camera '{text}': give degrees, FILE.json[:NAME], or {did_you_mean(text, directions)}")
 
 
-def _default_output(avatar: str, motion: str) -> Path:
-    path = Path(avatar)
-    return path.resolve().parent / f"{path.resolve().stem}_{motion}.mp4"
+def _default_output(avatar: str, motion: str) -> tuple[str, str]:
+    """A name next to the bundle, and a note where it is a folder of frames for want of what writes videos."""
+    from ..video import INSTALL, find_encoder
+
+    path = Path(avatar).resolve()
+    name = f"{path.parent / path.stem}_{motion}"
+    if find_encoder() is not None:
+        return f"{name}.mp4", ""
+    return f"{name}/", f"frames go to {name}/: to write a video takes OpenCV ({INSTALL}) or a program ffmpeg"
 
 
 def _listed(names: tuple[str, ...]) -> str:

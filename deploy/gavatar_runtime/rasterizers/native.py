@@ -6,7 +6,6 @@ import ctypes
 import dataclasses
 from time import perf_counter
 
-import cv2
 import numpy as np
 
 from .. import native_library as nl
@@ -107,7 +106,7 @@ class NativeRasterizer:
     def _enlarged(self, name: str, image: np.ndarray, camera: Camera) -> np.ndarray:
         large = self._buffer(f"large {name}", (camera.height, camera.width, *image.shape[2:]), image.dtype)
         started = perf_counter()
-        cv2.resize(image, (camera.width, camera.height), dst=large, interpolation=cv2.INTER_LINEAR)
+        resize(image, large)
         self.stage_seconds["upsample"] = self.stage_seconds.get("upsample", 0.0) + perf_counter() - started
         return large
 
@@ -142,6 +141,14 @@ def reduced(camera: Camera, resolution: float) -> Camera:
     return dataclasses.replace(
         camera, width=width, height=height, fx=camera.fx * x, fy=camera.fy * y, cx=camera.cx * x, cy=camera.cy * y
     )
+
+
+def resize(image: np.ndarray, out: np.ndarray) -> None:
+    """Fill `out` with `image` at its size, linearly, as cv2.resize does it: both (H, W) or (H, W, 3), of float32 or
+    uint8, contiguous."""
+    scale = nl.library().gv_resize8 if image.dtype == np.uint8 else nl.library().gv_resize
+    channels = image[0, 0].size
+    nl.check(scale(*image.shape[:2], channels, image.ctypes.data, *out.shape[:2], out.ctypes.data))
 
 
 def gaussians_struct(gaussians: Gaussians) -> tuple[list[np.ndarray | None], nl.GaussiansStruct]:
