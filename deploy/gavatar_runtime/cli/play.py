@@ -19,7 +19,8 @@ if TYPE_CHECKING:  # what these import must not slow down --help
 
 DESCRIPTION = "Play an avatar: pose it by a motion, splat it, write a video, a folder of frames or a contact sheet."
 EPILOG = """examples
-  gavatar-play anna.gavatar                                    a turn, as anna_turn.mp4 next to the bundle
+  gavatar-play anna.gavatar                                    a turn, as anna_turn.mp4 next to the bundle; frames in
+                                                               anna_turn/ where neither OpenCV nor ffmpeg is installed
   gavatar-play anna.gavatar --motion wave --orbit --out wave.mp4
   gavatar-play anna.gavatar --motion dance.npz --frames 0:300 --size 1024 --out frames/
   gavatar-play anna.gavatar --motion wave --set motion.waves=3 --out sheet.png
