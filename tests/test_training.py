@@ -136,6 +136,67 @@ def test_stage_two_freezes_features_and_motion_and_sees_the_refined_poses(traine
         assert set(file) >= {"poses", "trans", "betas", "mocap_framerate"}
 
 
+# stage 2 with everything trained: the maps of light and joints, the features, the poses
+LINEAR = [
+    *(o for o in SMALL if not o.startswith("encoder")), "encoder=linear", "encoder.map_size=64",
+    "stage2.lr_features=1e-2", "motion.stage2=1", "motion.guard=false",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def trained_wholly(capture, tmp_path_factory):
+    out = tmp_path_factory.mktemp("run") / "wholly"
+    train(compose_config([f"capture={capture}", f"out={out}", *LINEAR]), out)
+    return out
+
+
+def test_stage_two_moves_features_and_poses_where_asked_to(trained_wholly):
+    one, two = load_tensors(trained_wholly / "stage1.pt"), load_tensors(trained_wholly / "stage2.pt")
+    assert (one["avatar"]["features"] - two["avatar"]["features"]).abs().max() > 1e-3
+    assert two["avatar"]["encoder.maps"].abs().max() > 1e-3
+    moved = (one["motion"]["rotation_correction"] - two["motion"]["rotation_correction"]).abs().amax((1, 2))
+    assert moved[:6].min() > 0  # four steps of two views see every training frame at least once
+    assert not moved[6:].any()
+    opened = open_run(trained_wholly)
+    assert torch.equal(opened.motion.rotation_correction, two["motion"]["rotation_correction"])
+    with np.load(trained_wholly / "motion.npz") as file:
+        np.testing.assert_array_equal(file["poses"], opened.motion.motion().poses.reshape(len(file["poses"]), -1))
+
+
+@pytest.mark.parametrize("after", [("stage1", 6), ("stage2", 2)])
+def test_poses_that_move_in_stage_two_resume_to_the_same_result(capture, trained_wholly, tmp_path, after, monkeypatch):
+    """Stage 2 goes on with stage 1's optimiser of the poses: a run stopped between the two must find it again."""
+    from gavatar.training import trainer as module
+
+    class Stop(Exception):
+        pass
+
+    original, config = module._Stage._save, compose_config([f"capture={capture}", f"out={tmp_path}", *LINEAR])
+
+    def save_and_stop(self, step):
+        original(self, step)
+        if (f"stage{self.number}", step) == after:
+            raise Stop
+
+    monkeypatch.setattr(module._Stage, "_save", save_and_stop)
+    with pytest.raises(Stop):
+        train(config, tmp_path)
+    monkeypatch.setattr(module._Stage, "_save", original)
+    train(config, tmp_path)
+    expected, got = load_tensors(trained_wholly / "stage2.pt"), load_tensors(tmp_path / "stage2.pt")
+    assert_same(expected["avatar"], got["avatar"])
+    assert_same(expected["motion"], got["motion"])
+
+
+def test_poses_do_not_jump_when_stage_two_begins(capture, tmp_path):
+    """What Adam knows of a pose's gradients is carried over; begun anew, a first step has full length everywhere."""
+    settings = [*LINEAR, "stage1.steps=40", "stage2.steps=1", "stage2.batch=6"]
+    train(compose_config([f"capture={capture}", f"out={tmp_path}", *settings]), tmp_path)
+    one, two = load_tensors(tmp_path / "stage1.pt")["motion"], load_tensors(tmp_path / "stage2.pt")["motion"]
+    step = (one["rotation_correction"] - two["rotation_correction"])[:6].abs()
+    assert 0 < step.mean() < 0.5 * 1e-2  # the rate, which a first step of Adam reaches whatever the gradient
+
+
 def test_the_baseline_leaves_the_motion_alone_and_frames_outside_training_are_never_moved(capture, tmp_path):
     run(capture, tmp_path / "moved", "motion.guard=false", "stage2.steps=0")
     table = load_tensors(tmp_path / "moved/stage1.pt")["motion"]["rotation_correction"]

@@ -70,6 +70,7 @@ class Trainer:
         self.exposure = Exposure(len(self.views)).to(self.device) if config.exposure else None
         self.frames = sorted({view.frame for view in self.views})
         self._frame_row = {frame: row for row, frame in enumerate(self.frames)}
+        self.motion_state: dict[str, Any] | None = None  # of the optimiser of the poses, after stage 1
         self._footage: dict[float, Footage] = {}
         self._full: list | None = None
         self._inputs: dict[int, list[Tensor]] = {}
@@ -175,6 +176,9 @@ class _Stage:
                 {"params": [motion.trans_correction], "lr": options.lr_trans},
             ]
         )
+        if trainer.motion_state is not None:
+            # a frame is seen a few times in stage 2; begun anew, Adam's first steps are of full length for every joint
+            self.motion_optimizer.load_state_dict(trainer.motion_state)
         exposure = [] if trainer.exposure is None else [trainer.exposure.log_gain]
         self.exposure_optimizer = RowAdam(exposure, lr=EXPOSURE_RATE) if exposure and number == 1 else None
         for gain in exposure:
@@ -225,6 +229,7 @@ class _Stage:
                 clock = time.perf_counter()
                 self._save(step + 1)
         bar.close()
+        trainer.motion_state = self.motion_optimizer.state_dict()
         trainer.seconds[self.number] += time.perf_counter() - clock
         if start >= steps:  # nothing is left to do, or there never was: no step has placed the points
             trainer.avatar.sample_at(trainer.built.surface(self.config.levels[-1].uv))
