@@ -31,6 +31,7 @@ from gavatar.reporting import format_table
 from gavatar.training.preview import error_map
 from gavatar.training.run import open_run, train
 from gavatar_runtime.errors import exit_cleanly
+from gavatar_runtime.spacing import evenly_spaced
 
 PRESETS = ("paper", "upstream", "default")
 # of a capture without true poses: training frames with the poses of training, held-out ones with fitted poses
@@ -144,7 +145,7 @@ def pictured(capture) -> list:
     cameras = {view.camera: view for view in capture.splits.get("novel_view") or []}  # the last frame of each camera
     if "novel_pose" not in scored_splits(capture):
         seen, held_out = capture.views("train"), capture.splits.get("test") or []
-        spread = [seen[int(i)] for i in np.linspace(0, len(seen) - 1, 4)]
+        spread = [seen[i] for i in evenly_spaced(len(seen), 4)]
         return [*spread, *held_out[len(held_out) // 2 :][:1], *cameras.values()]
     return [
         views[0][len(views[0]) // 2],

@@ -29,6 +29,7 @@ from gavatar.registry import BODIES, load_plugins
 from gavatar.training.run import open_run, train
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.motion import Motion
+from gavatar_runtime.spacing import evenly_spaced
 
 
 def make_video(capture: Capture, camera: str, frames: int, path: Path) -> Path:
@@ -64,7 +65,7 @@ def silhouettes(data: BodyData, motion: Motion, betas: np.ndarray, camera: Camer
 def figure(out: Path, data: BodyData, motion: Motion, camera: Camera, path: Path, columns: int = 6) -> None:
     """Footage, mask and fitted body of a few frames, one below the other."""
     rows = []
-    for t in np.linspace(0, len(motion.trans) - 1, columns).astype(int):
+    for t in evenly_spaced(len(motion.trans), columns):
         stem = next((out / "capture/images/cam0").glob(f"{t:06d}.*"))
         image, mask = cv2.imread(str(stem)), cv2.imread(str(out / f"capture/masks/cam0/{t:06d}.png"))
         body = overlay(image, data, camera, motion.poses[t].reshape(-1, 3), motion.betas, motion.trans[t])

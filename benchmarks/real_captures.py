@@ -40,6 +40,7 @@ from gavatar.prepare.draw import iou
 from gavatar.registry import BODIES, load_plugins
 from gavatar.training.run import Run, open_run, train
 from gavatar_runtime.motion import Motion
+from gavatar_runtime.spacing import evenly_spaced
 
 HOLE = 0.9  # opacity below which a pixel well inside the mask counts as see-through
 LARGEST_FIGURE = 1100  # pixels
@@ -102,7 +103,7 @@ def score(run: Run, evaluator: Evaluator, views: list[View], motion: Motion) -> 
 def figure(path: Path, run: Run, evaluator: Evaluator, views: list[View], motion: Motion, columns: int = 5) -> None:
     """Footage, avatar, their difference three times enlarged, and the avatar on green, where what is see-through shows:
     a few views, each cropped around the person."""
-    chosen = [views[i] for i in np.linspace(0, len(views) - 1, min(columns, len(views))).astype(int)]
+    chosen = [views[i] for i in evenly_spaced(len(views), columns)]
     loaded = [run.capture.load(view) for view in chosen]
     boxes = [cv2.boundingRect((alpha > 0.5).astype(np.uint8)) for _, alpha in loaded]
     w, h = (max(box[k] for box in boxes) + 16 for k in (2, 3))

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.spacing import evenly_spaced
 
 from .capture import View
 from .config import compose_config
@@ -214,7 +215,7 @@ def _video_strip(video: Path, width: int) -> np.ndarray:
             break
         frames.append(frame[..., ::-1].astype(np.float32) / 255)
     count = max(1, width // 256)
-    chosen = [frames[int(i)] for i in np.linspace(0, len(frames) - 1, count)]
+    chosen = [frames[i] for i in evenly_spaced(len(frames), count)]
     strip = np.concatenate([cv2.resize(f, (256, 256), interpolation=cv2.INTER_AREA) for f in chosen], 1)
     strip = np.pad(strip, ((0, 0), (0, width - strip.shape[1]), (0, 0)), constant_values=1.0)
     return _captioned(strip, f"played: {video.stem}")

@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from gavatar_runtime.body import SMPL_BODY_JOINTS
 from gavatar_runtime.residuals import grouped
+from gavatar_runtime.spacing import evenly_spaced
 from gavatar_runtime.tiers.blendshape import pose_input
 
 from .attributes import encoder_inputs
@@ -95,18 +96,13 @@ def distil(
         "joints": joints,
         "input_low": inputs.min(0),
         "input_high": inputs.max(0),
-        "seen": _spread_rows(inputs[: len(source.train_poses)], PROTOTYPES).astype(np.float16),
+        "seen": inputs[evenly_spaced(len(source.train_poses), PROTOTYPES)].astype(np.float16),
         "near": _neighbours(np.asarray(coarse.parents), owners, joints),
         "fade": np.array(FADE, np.float32),
     }
     for i, (w, b) in enumerate(layers):
         arrays |= {f"weight_{i}": w, f"bias_{i}": b}
     return {k: v.astype(np.float32) if v.dtype == np.float64 else v for k, v in arrays.items()}
-
-
-def _spread_rows(rows: np.ndarray, count: int) -> np.ndarray:
-    """At most `count` of the rows, evenly spaced."""
-    return rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(int))]
 
 
 def _neighbours(parents: np.ndarray, owners: np.ndarray, joints: np.ndarray) -> np.ndarray:

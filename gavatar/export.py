@@ -25,6 +25,7 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.expression import MEMBER as EXPRESSION
 from gavatar_runtime.pose_blendshapes import MEMBER as POSE_BLENDSHAPES
 from gavatar_runtime.rasterizers import SWITCHES
+from gavatar_runtime.spacing import evenly_spaced
 
 from .attributes import encoder_inputs
 from .blendshapes import expression_of, pose_blendshapes_of
@@ -59,7 +60,7 @@ def verify(path: Path, run: Run, poses: int = 8) -> ExportCheck:
         made_up = np.sin(np.arange(len(motion))[:, None] + np.arange(played.expression.count))
         motion = dataclasses.replace(motion, expression=made_up.astype(np.float32))
     frames = sorted({view.frame for view in run.capture.views("train")})
-    frames = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, poses).astype(int))]
+    frames = [frames[i] for i in evenly_spaced(len(frames), poses)]
     errors = []
     for frame in frames:
         expected = posed(run, motion, frame)

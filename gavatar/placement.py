@@ -16,7 +16,7 @@ from gavatar_runtime.body import BodyData
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.motions.fields import Y_UP_FROM, vertical_axis
-from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
 
 # (3,) metres: the rest pelvis of the mean body of a family, to two digits. It only serves bodies of other families.
 MEAN_PELVIS = {"smpl": (0.0, -0.23, 0.03), "smplh": (0.0, -0.23, 0.03), "smplx": (0.0, -0.35, 0.01)}
@@ -74,9 +74,4 @@ def levelled(poses: np.ndarray) -> np.ndarray:
     mean = matrix_from_axis_angle(poses[:, 0].astype(np.float64))[:, :, 1].mean(0)
     if np.linalg.norm(mean) < 0.1:
         return np.eye(3)
-    mean = mean / np.linalg.norm(mean)
-    axis = np.cross(mean, [0.0, 1.0, 0.0])
-    sine, cosine = np.linalg.norm(axis), mean[1]
-    if sine < 1e-9:
-        return np.eye(3) if cosine > 0 else np.diag([1.0, -1, -1])
-    return matrix_from_axis_angle(axis / sine * np.arctan2(sine, cosine))
+    return rotation_between(mean, np.array([0.0, 1.0, 0.0]))

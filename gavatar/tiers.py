@@ -12,6 +12,7 @@ import onnx
 import torch
 
 from gavatar_runtime.body import SMPL_BODY_JOINTS
+from gavatar_runtime.spacing import evenly_spaced
 from gavatar_runtime.surface import Surface
 
 from .evaluation import pose_features
@@ -67,7 +68,7 @@ class TierSource:
     def mean_poses(self) -> np.ndarray:
         """The poses that the still look is the mean of."""
         poses = self.train_poses
-        return poses[np.unique(np.linspace(0, len(poses) - 1, MEAN_POSES).astype(int))]
+        return poses[evenly_spaced(len(poses), MEAN_POSES)]
 
     def features(self, poses: np.ndarray) -> torch.Tensor:
         """(B, C, M, M) pose features."""

@@ -25,6 +25,7 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.framing import frame_motion, size_on_screen
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.player import build_rasterizer, play
+from gavatar_runtime.spacing import evenly_spaced
 from gavatar_runtime.tiers import player_tiers, stored_tiers
 
 from .capture import Capture, View
@@ -226,7 +227,7 @@ def footage(capture: Capture, limit: int = QUALITY_FRAMES) -> tuple[Motion, list
             f"capture '{capture.name}' holds no frames out ({', '.join(FOOTAGE_SPLITS)}): leave --capture out"
         )
     views = capture.views(split)
-    views = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, limit).astype(int))]
+    views = [views[i] for i in evenly_spaced(len(views), limit)]
     targets = []
     for view in views:
         color, alpha = capture.load(view)
@@ -300,7 +301,7 @@ def run_ladder(
     if choices is None:
         auto = uv_for_size(avatar.surface, size_on_screen(avatar, motion, [camera] * len(motion)))
         choices = default_choices(bundle, auto)
-    frames = np.unique(np.linspace(0, len(motion) - 1, QUALITY_FRAMES).astype(int)).tolist()
+    frames = evenly_spaced(len(motion), QUALITY_FRAMES).tolist()
     full = images(reference, bundle, motion, frames, [camera] * len(frames))
     held = None
     if capture is not None:
@@ -336,7 +337,7 @@ def describe_tiers(path: Path, run: Run, size: int = 512, progress: bool = False
 
     bundle = read_bundle(path)
     source = TierSource(run, run.avatar.surface, lambda model: b"", progress)
-    real = source.train_poses[np.unique(np.linspace(0, len(source.train_poses) - 1, 8).astype(int))]
+    real = source.train_poses[evenly_spaced(len(source.train_poses), 8)]
     sets = {"capture": real, "mixed": source.random_poses(8, seed=1)}
     sets = {k: Motion(v, np.zeros((len(v), 3), np.float32), 30.0) for k, v in sets.items()}
     avatar = Choice("full").open(bundle)

@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from gavatar_runtime.detail import as_trained
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.spacing import evenly_spaced
 
 from .build import build_rasterizer
 from .capture import View
@@ -67,7 +68,7 @@ def difference(run: Run, kept: np.ndarray) -> dict[str, float]:
     split = next((name for name in HELD_OUT if capture.splits.get(name)), run.config.train_split)
     motion = capture.truth or capture.motion if split in HELD_OUT else run.motion.motion()
     views: list[View] = capture.views(split)
-    views = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, COMPARED).astype(int))]
+    views = [views[i] for i in evenly_spaced(len(views), COMPARED)]
     rows, values = torch.from_numpy(np.flatnonzero(kept)), []
     for view in views:
         camera = capture.camera(view)

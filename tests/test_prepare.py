@@ -14,7 +14,7 @@ from gavatar.cli.prepare import main
 from gavatar.prepare import BodyFitter, FitOptions, Landmarks, SourceOptions, open_source, read_landmarks
 from gavatar.prepare.anatomy import joint_ranges
 from gavatar.prepare.draw import body_mask, iou
-from gavatar.prepare.initial import guess_camera, observe, rays, rotation_between, torso_frames, unflip
+from gavatar.prepare.initial import guess_camera, observe, rays, torso_frames, unflip
 from gavatar.prepare.landmarks import BONES, INDEX, MIRROR, NAMES, landmark_rows
 from gavatar.prepare.pipeline import settle
 from gavatar.prepare.silhouette import prepare_silhouettes
@@ -193,19 +193,6 @@ def test_gravity_is_found_by_balance_and_settling_changes_no_picture(data):
     for t in range(12):
         before, after = (data.posed(f.poses[t], f.betas, f.trans[t])[0] for f in (fit, settled))
         np.testing.assert_allclose(moved.project(after), guess.project(before), atol=1e-6)
-
-
-def test_the_least_rotation_between_directions():
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(size=(2, 20, 3))
-    a, b = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (a, b))
-    b = np.where((a * b).sum(-1, keepdims=True) < 0, -b, b)
-    b[:3] = a[:3]  # no rotation at all
-    R = rotation_between(a, b)
-    np.testing.assert_allclose(np.einsum("nab,nb->na", R, a), b, atol=1e-12)
-    np.testing.assert_allclose(R @ R.swapaxes(1, 2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
-    angle = np.arccos(np.clip((np.trace(R, axis1=1, axis2=2) - 1) / 2, -1, 1))
-    np.testing.assert_allclose(angle, np.arccos(np.clip((a * b).sum(-1), -1, 1)), atol=1e-6)  # acos near 1
 
 
 def test_joint_limits_hold_even_for_impossible_landmarks(data):

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import gavatar_runtime.rotations as np_rot
 from gavatar.rotations import matrix_from_axis_angle
+from gavatar_runtime.spacing import evenly_spaced
 
 AXES = np.array([[1, 0, 0], [0, -1, 0], [0, 0, 1], [0.6, 0.0, -0.8], [0.57735, 0.57735, 0.57735]])
 ANGLES = [
@@ -92,3 +93,50 @@ def test_slerp_takes_the_short_way_and_agrees_with_scipy():
         assert np.abs(got - expected).max() < 1e-12
     same = np_rot.slerp(qa, qa, np.full(20, 0.5))
     assert np.abs(same - qa).max() < 1e-12
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-13), (np.float32, 1e-6), (np.float16, 3e-3)])
+def test_the_least_rotation_between_directions(dtype, tolerance):
+    """tolerance: a few roundings of the dtype, of numbers up to one."""
+    a, b = np.random.default_rng(0).normal(size=(2, 200, 3))
+    b[:3], b[3:6], b[6:9] = a[:3], -a[3:6], -a[6:9] + 1e-7 * b[6:9]  # the same, opposite, nearly opposite
+    a[9:12], b[9:12] = np.eye(3), -np.eye(3)
+    a, b = (v.astype(dtype) * np.asarray([1, 30], dtype)[np.arange(200) % 2, None] for v in (a, b))
+    R = np_rot.rotation_between(a, b)
+    assert R.dtype == dtype
+    R, a, b = (v.astype(np.float64) for v in (R, a, b))
+    a, b = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (a, b))
+    # 1e-9: below that sine, directions count as opposite
+    np.testing.assert_allclose(np.einsum("nab,nb->na", R, a), b, atol=max(tolerance, 1e-9))
+    np.testing.assert_allclose(R @ R.swapaxes(1, 2), np.broadcast_to(np.eye(3), R.shape), atol=4 * tolerance)
+    np.testing.assert_allclose(np.linalg.det(R), 1, atol=4 * tolerance)
+    expected = 1 + 2 * np.sum(a * b, -1)  # the trace tells the angle: no rotation that does it turns further
+    np.testing.assert_allclose(np.trace(R, axis1=1, axis2=2), expected, atol=4 * tolerance)
+
+
+def test_the_rotation_between_directions_at_its_extremes():
+    x, y, zero = np.eye(3)[0], np.eye(3)[1], np.zeros(3)
+    np.testing.assert_allclose(np_rot.rotation_between(y, -y), np.diag([1, -1, -1]), atol=1e-15)  # about x
+    np.testing.assert_allclose(np_rot.rotation_between(x, -x), np.diag([-1, 1, -1]), atol=1e-15)  # about y
+    for pair in ((zero, x), (x, zero), (zero, zero), (y, y), (1e-320 * y, 1e300 * y)):
+        np.testing.assert_array_equal(np_rot.rotation_between(*pair), np.eye(3))
+    assert np_rot.rotation_between(np.zeros((0, 3)), y).shape == (0, 3, 3)
+    assert np_rot.rotation_between(x, np.zeros((2, 1, 3))).shape == (2, 1, 3, 3)
+    assert np.isnan(np_rot.rotation_between(x, np.array([np.nan, 0, 0]))).any()
+    quarter = np_rot.rotation_between(1e200 * x, 1e-200 * y)
+    np.testing.assert_allclose(quarter, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)
+
+
+@pytest.mark.parametrize("total", [0, 1, 2, 3, 12, 1000])
+@pytest.mark.parametrize("count", [1, 2, 3, 12, 999])
+def test_evenly_spaced_picks(total, count):
+    picks = evenly_spaced(total, count)
+    assert len(picks) == min(total, count)
+    assert picks.dtype.kind == "i"
+    if total:
+        assert picks[0] == 0
+    if len(picks) > 1:
+        assert picks[-1] == total - 1
+        gaps = np.diff(picks)
+        assert gaps.min() >= 1
+        assert np.ptp(gaps) <= 1

@@ -13,6 +13,7 @@ from .kinematics import skin
 from .motion import Motion
 from .rasterizers.rules import NEAR
 from .rotations import matrix_from_axis_angle
+from .spacing import evenly_spaced
 
 FOCAL = 50 / 36  # of the longer image side: a 50 mm lens on 36 mm film, which keeps a person's proportions
 MARGIN = 0.06  # of each image side, left free on either edge: hair and loose clothes leave the body's surface
@@ -101,4 +102,4 @@ def size_on_screen(avatar: Avatar, motion: Motion, cameras: Sequence[Camera]) ->
 
 
 def _sampled_frames(motion: Motion) -> np.ndarray:
-    return np.unique(np.linspace(0, len(motion) - 1, SAMPLED_FRAMES).astype(int))
+    return evenly_spaced(len(motion), SAMPLED_FRAMES)

@@ -20,9 +20,9 @@ from .errors import UserError
 from .motion import Motion
 from .rotations import (
     axis_angle_from_matrix,
-    matrix_from_axis_angle,
     matrix_from_quaternion,
     quaternion_from_matrix,
+    rotation_between,
     slerp,
 )
 from .skeletons import SMPLH
@@ -138,22 +138,7 @@ def _upright(bvh: Bvh, world: np.ndarray, mapping: dict[str, int], B: np.ndarray
     else:
         axis = np.eye(3)["xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)
     W = _snapped(B).T
-    return W if W[1] @ axis > 0.5 else _snapped(_shortest(W @ axis, np.array([0.0, 1, 0]))) @ W
-
-
-def _shortest(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """(3, 3) the least rotation from one direction to another; about x when they are opposite and that serves."""
-    start, end = start / np.linalg.norm(start), end / np.linalg.norm(end)
-    axis = np.cross(start, end)
-    sine, cosine = np.linalg.norm(axis), start @ end
-    if sine < 1e-9:
-        if cosine > 0:
-            return np.eye(3)
-        other = np.eye(3)[0] if abs(start[0]) < 0.9 else np.eye(3)[1]
-        axis, sine = np.cross(start, np.cross(other, start)), 1e-300
-        axis /= np.linalg.norm(axis)
-        return matrix_from_axis_angle(np.pi * axis)
-    return matrix_from_axis_angle(axis / sine * np.arctan2(sine, cosine))
+    return W if W[1] @ axis > 0.5 else _snapped(rotation_between(W @ axis, np.array([0.0, 1, 0]))) @ W
 
 
 def _limbs(bvh: Bvh, mapping: dict[str, int], rest: np.ndarray, B: np.ndarray) -> dict[str, np.ndarray]:
@@ -166,7 +151,7 @@ def _limbs(bvh: Bvh, mapping: dict[str, int], rest: np.ndarray, B: np.ndarray) -
                 continue
             bone = bvh.tips[joint] if child is None else rest[child] - rest[joint]
             if np.isfinite(bone).all() and np.linalg.norm(bone) > 1e-6:
-                out[f"{side}_{part}"] = _shortest(B @ (np.array(direction) * (sign, 1, 1)), bone) @ B
+                out[f"{side}_{part}"] = rotation_between(B @ (np.array(direction) * (sign, 1, 1)), bone) @ B
         for part, other in FOLLOWS.items():
             if f"{side}_{other}" in out:
                 out[f"{side}_{part}"] = out[f"{side}_{other}"]

@@ -27,10 +27,10 @@ def axis_angle_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
 
 
 def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
-    """(..., 4) wxyz, normalised here -> (..., 3, 3). A zero quaternion gives the identity."""
+    """(..., 4) wxyz, normalised here -> (..., 3, 3). A zero quaternion gives the identity, NaN stays NaN."""
     q = np.asarray(quaternion)
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
-    q = np.where(norm > 0, q / np.where(norm > 0, norm, 1), np.array([1, 0, 0, 0], q.dtype))
+    q = np.where(norm == 0, np.array([1, 0, 0, 0], q.dtype), q / np.where(norm == 0, 1, norm))
     w, x, y, z = np.moveaxis(q, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -69,6 +69,31 @@ def quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
 def axis_angle_from_matrix(matrix: np.ndarray) -> np.ndarray:
     """(..., 3, 3) rotations -> (..., 3) axis-angle with angle in [0, pi], radians."""
     return axis_angle_from_quaternion(quaternion_from_matrix(matrix))
+
+
+def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) the least rotation that turns direction `start` to direction `end`, (..., 3) of any length.
+
+    Of opposite directions it is half a turn about what is left of x (of y, where they lie near x) at right angles to
+    them. A zero vector has no direction: the identity.
+    """
+    dtype = np.result_type(start, end, np.float16)
+    a, b = np.broadcast_arrays(_direction(start), _direction(end))
+    cross, cosine = np.cross(a, b), np.sum(a * b, -1, keepdims=True)
+    sine = np.linalg.norm(cross, axis=-1, keepdims=True)
+    other = np.where(np.abs(a[..., :1]) < 0.9, np.eye(3)[0], np.eye(3)[1])
+    aside = other - a * np.sum(a * other, -1, keepdims=True)
+    axis = _direction(np.where((sine < 1e-9) & (cosine < 0), aside, cross))
+    return matrix_from_axis_angle(axis * np.arctan2(sine, cosine)).astype(dtype)
+
+
+def _direction(vector: np.ndarray) -> np.ndarray:
+    """float64 of length one, or zero; also of vectors so long or short that their square is none of float64's."""
+    vector = np.asarray(vector, np.float64)
+    largest = np.abs(vector).max(-1, keepdims=True)
+    vector = vector / np.where(largest == 0, 1, largest)
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return vector / np.where(length == 0, 1, length)
 
 
 def slerp(start: np.ndarray, end: np.ndarray, fraction: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
+from gavatar_runtime.rotations import matrix_from_quaternion, quaternion_from_matrix, rotation_between, slerp
 
 from .landmarks import INDEX, MIRROR, Landmarks
 
@@ -103,14 +103,6 @@ def observe(cameras: list[Camera], landmarks: list[Landmarks], fps: float) -> Ob
         world.append(points @ camera.T_camera_world[:3, :3])
         weight.append(1.0 - flipped)
     return Observations(*(np.stack(v) for v in (image, visibility, world, weight)))
-
-
-def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) the least rotation that brings unit vectors a to b, (..., 3) each, at less than a right angle."""
-    x, y, z = np.moveaxis(np.cross(a, b), -1, 0)
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*x.shape, 3, 3)
-    return np.eye(3) + cross + cross @ cross / (1 + np.sum(a * b, -1))[..., None, None]  # Rodrigues' formula
 
 
 def rays(camera: Camera, marks: Landmarks) -> np.ndarray:

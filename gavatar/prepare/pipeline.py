@@ -11,10 +11,10 @@ from gavatar.body import BodyData
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motion import Motion
-from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
 
 from .fit import BodyFitter, Fit, FitOptions
-from .initial import DEFAULT_FOV, guess_camera, rotation_between
+from .initial import DEFAULT_FOV, guess_camera
 from .silhouette import prepare_silhouettes
 from .source import Source
 from .write import CaptureFacts, write_capture

@@ -10,6 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gavatar_runtime.spacing import evenly_spaced
+
 WORK_SIDE = 320  # pixels of a mask's longer side during the fit: half a pixel there is about 3 mm on a person
 
 
@@ -50,7 +52,7 @@ def _one_silhouette(mask: np.ndarray, work_size: tuple[int, int], to_full: np.nd
         points, normals = _outline(small)
         inner = (points > 2).all(1) & (points < [w - 2, h - 2]).all(1)
         points, normals = points[inner], normals[inner]
-        pick = np.linspace(0, len(points) - 1, min(count, len(points))).astype(int)
+        pick = evenly_spaced(len(points), count)
         outline[: len(pick)], normal[: len(pick)] = points[pick] * to_full, normals[pick]
         valid[: len(pick)] = 1
     return outside, outline, normal, valid

@@ -10,6 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.spacing import evenly_spaced
 
 from .landmarks import Landmarks
 from .matting import refine_mask
@@ -92,7 +93,7 @@ def track(
     images: gives the images from the start each time it is called (twice). what: the footage's name, for messages.
     watch: is shown every image with its mask. Raises UserError when nobody is found.
     """
-    sample = set(np.linspace(0, count - 1, min(count, LOOK_AROUND)).round().astype(int).tolist())
+    sample = set(evenly_spaced(count, LOOK_AROUND).tolist())
     side, people = largest_person((image for t, image in enumerate(images()) if t in sample), networks)
     if side == 0:
         raise UserError(

@@ -20,6 +20,7 @@ from gavatar.files import write_image, write_json, write_motion
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motion import Motion
+from gavatar_runtime.spacing import evenly_spaced
 
 from .draw import body_mask, contact_sheet, iou, overlay
 from .source import Source
@@ -161,8 +162,7 @@ class _Preview:
 
     def __init__(self, folder: Path, fps: float, frames: int, cameras: int, wanted: bool):
         self.folder, self.fps, self.wanted = folder, fps, wanted
-        count = min(frames, max(1, 54 // cameras))
-        self.sampled = set(np.linspace(0, frames - 1, count).round().astype(int).tolist())
+        self.sampled = set(evenly_spaced(frames, max(1, 54 // cameras)).tolist())
         self.columns = max(1, 9 // cameras)
         self.sheet: list[np.ndarray] = []
         self.video: cv2.VideoWriter | None = None

@@ -13,6 +13,7 @@ from gavatar.quantization import quantized
 from gavatar.registry import TIERS
 from gavatar.tiers import TierSource
 from gavatar_runtime.pose_inputs import pose_inputs
+from gavatar_runtime.spacing import evenly_spaced
 
 
 @dataclasses.dataclass
@@ -35,7 +36,7 @@ class Int8Builder:
 
     def build(self, source: TierSource) -> dict[str, bytes]:
         avatar, count = source.run.avatar, self.options.poses
-        chosen = source.train_poses[np.unique(np.linspace(0, len(source.train_poses) - 1, count).astype(int))]
+        chosen = source.train_poses[evenly_spaced(len(source.train_poses), count)]
         poses = np.concatenate([chosen, source.random_poses(count)])
 
         def decoder(rows: onnx.ModelProto, scanned: dict[str, np.ndarray], features) -> onnx.ModelProto:
