@@ -17,7 +17,7 @@ from gavatar_runtime.gaussians import Gaussians
 from gavatar_runtime.surface import Surface
 
 from .attributes import Attributes
-from .blendshapes import canonical_rotations, expression_of, pose_blendshapes_of
+from .blendshapes import canonical_rotations, expression_of, pose_blendshapes_of, shape_of
 from .body import Skeleton
 from .sampling import Sampler
 from .skinning import can_skin_sparse, skin, skin_rotations, skin_sparse, skinning_weights
@@ -59,6 +59,7 @@ class Avatar(nn.Module):
         self.surface: Surface | None = None
         self.mixed_precision = False  # decode in bfloat16 while training
         self._expressions: dict[int, tuple[Surface, Expression | None]] = {}  # by the surface's id
+        self._shapes: tuple[Surface, Tensor, Tensor] | None = None  # of the surface: what betas do to it
 
     def sample_at(self, surface: Surface) -> None:
         """Place the Gaussians on the points of `surface`."""
@@ -101,18 +102,26 @@ class Avatar(nn.Module):
         return None if self.encoder is None else self.encoder(*inputs)
 
     def pose(
-        self, attributes: Attributes, rotations: Tensor, trans: Tensor, expression: Tensor | None = None
+        self,
+        attributes: Attributes,
+        rotations: Tensor,
+        trans: Tensor,
+        expression: Tensor | None = None,
+        betas_change: Tensor | None = None,
     ) -> list[Gaussians]:
         """Pose decoded points. rotations: (B, J, 3, 3) local joint rotations. trans: (B, 3) metres. expression: (B, E)
-        coefficients or None. Attributes with a leading 1 serve every pose. Returns B sets of Gaussians in the world,
-        opacity 1, isotropic unless the attributes have rotations. Raises UserError for an expression that the body has
-        not."""
+        coefficients or None. betas_change: (n,) added to the first n betas that the surface was sampled at, or None.
+        Attributes with a leading 1 serve every pose. Returns B sets of Gaussians in the world, opacity 1, isotropic
+        unless the attributes have rotations. Raises UserError for an expression that the body has not."""
         points, shift = self.points + attributes.offsets, None
         if self.config.pose_blendshapes:
             points = points + self._pose_offsets(rotations)
         if expression is not None:
             moved, shift = self._expressed(expression)
             points = points + moved
+        if betas_change is not None:
+            moved, joints = self._shaped(betas_change)
+            points, shift = points + moved, joints if shift is None else shift + joints
         transforms = self.skeleton.canonical_to_posed(rotations, shift)
         normals = self._turned_normals(transforms) if self.with_normals else [None] * len(rotations)
         if can_skin_sparse(points):
@@ -183,3 +192,13 @@ class Avatar(nn.Module):
         rows = torch.as_tensor(expression.rows, dtype=torch.int64, device=coefficients.device)
         moved[:, rows] = torch.einsum("be,nce->bnc", coefficients, directions)
         return moved, torch.einsum("be,jce->bjc", coefficients, joints)
+
+    def _shaped(self, change: Tensor) -> tuple[Tensor, Tensor]:
+        """What a change of the first betas, (n,), adds to the canonical points, (N, 3), and the rest joints, (J, 3).
+        The points' spacing stays that of the sampled surface."""
+        count = len(change)
+        if self._shapes is None or self._shapes[0] is not self.surface or self._shapes[1].shape[-1] != count:
+            known = shape_of(self.skeleton.data, self.surface, count)
+            self._shapes = (self.surface, *(torch.as_tensor(d, dtype=change.dtype).to(change.device) for d in known))
+        _, points, joints = self._shapes
+        return points @ change, joints @ change

@@ -48,3 +48,15 @@ def expression_of(body: BodyData, surface: Surface) -> Expression | None:
         if np.any(moved):
             canonical[:, :, e] += np.einsum("nk,nkc->nc", surface.joint_weight, moved[surface.joint_index])
     return Expression.of(canonical, joints)
+
+
+def shape_of(body: BodyData, surface: Surface, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """What the first `count` betas do to the surface's points, (N, 3, count), and to the rest joints, (J, 3, count),
+    metres a unit coefficient. Both are linear in the betas, since the canonical pose is fixed: one difference each."""
+    corners, places = [], []
+    for betas in np.eye(count + 1, count, -1):  # zero, then each coefficient
+        vertices, _ = body.posed(body.canonical_pose(), betas)
+        corners.append(np.asarray(vertices, np.float64)[body.faces])
+        places.append(body.shaped(betas)[1])
+    points = [interpolate(corner - corners[0], surface.face, surface.barycentric) for corner in corners[1:]]
+    return np.stack(points, -1), np.stack([place - places[0] for place in places[1:]], -1)

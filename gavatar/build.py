@@ -114,6 +114,13 @@ class AvatarBuild:
             self.canonical[resolution] = sample_surface(self.body.data, self.betas, resolution)
         return self.canonical[resolution]
 
+    def reshape(self, betas: np.ndarray) -> None:
+        """The same avatar on the body of other shape coefficients; what was sampled of the former is forgotten."""
+        device = self.avatar.features.device
+        self.betas = betas
+        self.canonical.clear()
+        self.avatar.skeleton = Skeleton(self.body.data, betas).to(device)
+
     def encoder_tensors(self, poses: np.ndarray) -> list[torch.Tensor]:
         """What the avatar's encoder looks at of (B, J, 3) axis-angle poses, on the avatar's device."""
         encoder = self.avatar.encoder

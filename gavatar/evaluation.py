@@ -258,7 +258,7 @@ def fit_motion(
 
 def motion_errors(built: AvatarBuild, motion: Motion, truth: Motion, frames: Sequence[int]) -> tuple[float, float]:
     """MPJPE (root-aligned) and PA-MPJPE in millimetres over the 22 body joints of the given frames."""
-    return joint_errors(*(_joints(built, m, frames) for m in (motion, truth)))
+    return joint_errors(*(joints_of(built, m, frames) for m in (motion, truth)))
 
 
 def part_errors(built: AvatarBuild, motion: Motion, truth: Motion, frames: Sequence[int]) -> PartErrors:
@@ -268,7 +268,7 @@ def part_errors(built: AvatarBuild, motion: Motion, truth: Motion, frames: Seque
     moved = np.abs(true_poses - data.rest_pose).max((0, 2)) > 1e-4
     out = PartErrors()
     if any(moved[names.index(name)] for name in FINGERS if name in names):
-        out.mpjpe_hands_mm = float(mpjpe_hands(*(_joints(built, m, frames) for m in (motion, truth)), names).mean())
+        out.mpjpe_hands_mm = float(mpjpe_hands(*(joints_of(built, m, frames) for m in (motion, truth)), names).mean())
     if "jaw" in names and moved[names.index("jaw")]:
         jaw = names.index("jaw")
         poses = check_motion_fits(motion.poses[frames], data.num_joints)
@@ -277,7 +277,7 @@ def part_errors(built: AvatarBuild, motion: Motion, truth: Motion, frames: Seque
 
 
 @torch.no_grad()
-def _joints(built: AvatarBuild, motion: Motion, frames: Sequence[int]) -> np.ndarray:
+def joints_of(built: AvatarBuild, motion: Motion, frames: Sequence[int]) -> np.ndarray:
     """(F, J, 3) metres, world."""
     skeleton = built.avatar.skeleton
     table = MotionTable(motion.taken(list(frames)), len(skeleton.parents))

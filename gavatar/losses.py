@@ -25,7 +25,8 @@ class MotionState:
 
     rotations, rotations_initial: (T, J, 3, 3) local joint rotations, now and before training.
     trans, trans_initial: (T, 3) metres. frame_times: (T,) seconds, increasing, with gaps where frames are held out.
-    The initial values carry no gradient.
+    The initial values carry no gradient. betas_change: (n,) shape coefficients less their estimate, None where the
+    shape is fixed.
     """
 
     rotations: Tensor
@@ -33,6 +34,7 @@ class MotionState:
     trans: Tensor
     trans_initial: Tensor
     frame_times: Tensor
+    betas_change: Tensor | None = None
 
 
 @dataclasses.dataclass(kw_only=True)

@@ -92,8 +92,11 @@ def open_run(directory: str | Path, stage: int | None = None, capture: str | Pat
     state = load_tensors(directory / STAGE_FILES[number])
     opened = open_capture(config.capture, config.capture_format)
     built = build_avatar(config.body, config.encoder, config.decoder, config.avatar, opened, config.seed)
+    if "betas" in state:
+        built.reshape(state["betas"].numpy())
     opened = capture_on_body(opened, built.body.data)
     motion = MotionTable(opened.motion, built.body.data.num_joints, config.motion.joints)
+    motion.betas = built.betas
     try:
         built.avatar.load_state_dict(state["avatar"])
         motion.load_state_dict(state["motion"])

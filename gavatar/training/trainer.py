@@ -28,6 +28,7 @@ from .exposure import Exposure
 from .facing import facing_texels
 from .memory import keep_freed_memory
 from .preview import as_image, side_by_side
+from .shape import Shape
 from .stage import background_at, batch_rows, level_at, lr_factor, sharing_width
 from .unseen import fill_unseen
 from .verdict import dynamics_verdict, held_out_rows, refuse_worse_poses, view_errors
@@ -68,6 +69,9 @@ class Trainer:
             self.capture.motion, self.built.body.data.num_joints, config.motion.joints
         ).to(self.device)  # fmt: skip
         self.exposure = Exposure(len(self.views)).to(self.device) if config.exposure else None
+        self.shape: Shape | None = None
+        if config.motion.betas and config.motion.enabled:
+            self.shape = Shape(self.built.betas, self.built.body.data.num_betas).to(self.device)
         self.frames = sorted({view.frame for view in self.views})
         self._frame_row = {frame: row for row, frame in enumerate(self.frames)}
         self.motion_state: dict[str, Any] | None = None  # of the optimiser of the poses, after stage 1
@@ -87,6 +91,10 @@ class Trainer:
             self.motion.load_state_dict(state["motion"])
             if self.exposure is not None:
                 self.exposure.load_state_dict(state["exposure"])
+            if self.shape is not None:
+                self.shape.load_state_dict(state["shape"])
+                if state["stage"] > 1:
+                    self.settle_shape()
             self.history, self.seconds = state["history"], state["seconds"]
             self.verdicts = state.get("verdicts", {})
         for number in self._stages():
@@ -124,6 +132,14 @@ class Trainer:
         """The poses of these frames are no longer what `pose_inputs` has seen."""
         for frame in frames:
             self._inputs.pop(frame, None)
+
+    def settle_shape(self) -> None:
+        """From here on the avatar is the body of the shape as it is corrected now, sampled afresh."""
+        betas = self.shape.betas
+        self.built.reshape(betas)
+        self.motion.betas = betas.astype(np.float32)
+        self._inputs.clear()
+        self.verdicts["betas"] = {"estimated": self.shape.estimated.tolist(), "refined": betas.round(4).tolist()}
 
     def seen(self, rows: list[int], render: Tensor, alpha: Tensor, background: Tensor) -> Tensor:
         """Renders (B, 3, H, W) with the exposures of the training views in `rows`, where those are learnt."""
@@ -183,6 +199,10 @@ class _Stage:
         self.exposure_optimizer = RowAdam(exposure, lr=EXPOSURE_RATE) if exposure and number == 1 else None
         for gain in exposure:
             gain.requires_grad_(number == 1)
+        self.shape: Shape | None = trainer.shape if number == 1 else None
+        self.shape_optimizer = None
+        if self.shape is not None:
+            self.shape_optimizer = torch.optim.Adam(self.shape.parameters(), lr=options.lr_betas, betas=(0.9, 0.99))
         avatar.features.requires_grad_(self.learns_features)
         avatar.smooth.requires_grad_(self.learns_features)
         motion.requires_grad_(self.moves)
@@ -201,6 +221,8 @@ class _Stage:
             self.motion_optimizer.load_state_dict(resume["motion_optimizer"])
             if self.exposure_optimizer is not None:
                 self.exposure_optimizer.load_state_dict(resume["exposure_optimizer"])
+            if self.shape_optimizer is not None:
+                self.shape_optimizer.load_state_dict(resume["shape_optimizer"])
         trainer, steps = self.trainer, self.config.steps
         trainer.avatar.train()
         if self.number == 2 and start == 0:
@@ -232,6 +254,9 @@ class _Stage:
         trainer.motion_state = self.motion_optimizer.state_dict()
         trainer.seconds[self.number] += time.perf_counter() - clock
         if start >= steps:  # nothing is left to do, or there never was: no step has placed the points
+            trainer.avatar.sample_at(trainer.built.surface(self.config.levels[-1].uv))
+        if self.shape is not None:
+            trainer.settle_shape()
             trainer.avatar.sample_at(trainer.built.surface(self.config.levels[-1].uv))
         result = self._judged()  # before the guard, which chooses poses by the very views that judge
         if self.moves and trainer.config.motion.guard and start < steps and result != REFUSED:
@@ -274,7 +299,8 @@ class _Stage:
 
     def _avatar_state(self) -> dict[str, Any]:
         trainer = self.trainer
-        return {
+        shape = {} if trainer.shape is None else {"betas": torch.from_numpy(trainer.shape.betas)}
+        return shape | {
             "avatar": trainer.avatar.state_dict(),
             "motion": trainer.motion.state_dict(),
             "stage": self.number,
@@ -284,15 +310,16 @@ class _Stage:
     def _save(self, step: int) -> None:
         trainer = self.trainer
         trainer.write_metrics(finished=False)
-        exposure = {}
-        if trainer.exposure is not None:
-            exposure["exposure"] = trainer.exposure.state_dict()
-        if self.exposure_optimizer is not None:
-            exposure["exposure_optimizer"] = self.exposure_optimizer.state_dict()
+        asked = {
+            "exposure": trainer.exposure,
+            "exposure_optimizer": self.exposure_optimizer,
+            "shape": trainer.shape,
+            "shape_optimizer": self.shape_optimizer,
+        }
         save_tensors(
             trainer.directory / CHECKPOINT,
             self._avatar_state()
-            | exposure
+            | {name: part.state_dict() for name, part in asked.items() if part is not None}
             | {
                 "step": step,
                 "optimizer": self.optimizer.state_dict(),
@@ -313,6 +340,8 @@ class _Stage:
             group["lr"] = lr * factor
         for group, lr in zip(self.motion_optimizer.param_groups, self.motion_lr, strict=True):
             group["lr"] = lr * factor
+        if self.shape_optimizer is not None:
+            self.shape_optimizer.param_groups[0]["lr"] = trainer.config.motion.lr_betas * factor
         on_step = getattr(trainer.avatar.decoder, "on_step", None)
         if on_step is not None and self.number == 1:
             on_step(step)
@@ -332,11 +361,15 @@ class _Stage:
         self.motion_optimizer.zero_grad(set_to_none=True)
         if self.exposure_optimizer is not None:
             self.exposure_optimizer.zero_grad(set_to_none=True)
+        if self.shape_optimizer is not None:
+            self.shape_optimizer.zero_grad(set_to_none=True)
         total.backward()
         self.optimizer.step()
         options = config.motion
         if self.moves and (self.number == 2 or options.start <= progress <= options.end):
             self._step_motion(sorted(set(frames)), progress)
+            if self.shape_optimizer is not None:
+                self.shape_optimizer.step()
         if self.exposure_optimizer is not None:
             self.exposure_optimizer.step(torch.tensor(rows, device=trainer.device))
         if step % config.preview_every == 0 or step + 1 == self.config.steps:
@@ -361,7 +394,8 @@ class _Stage:
             pose_features = avatar.encode(*trainer.pose_inputs(frames))
         attributes = avatar.attributes(pose_features)
         images, alphas = [], []
-        posed = avatar.pose(attributes, *trainer.motion(frames), trainer.motion.expression(frames))
+        change = None if self.shape is None else self.shape.change
+        posed = avatar.pose(attributes, *trainer.motion(frames), trainer.motion.expression(frames), change)
         for row, gaussians in zip(rows, posed, strict=True):
             rendering = trainer.rasterize(gaussians, data.cameras[row], background.to(trainer.device))
             images.append(rendering.color.permute(2, 0, 1))
@@ -400,6 +434,7 @@ class _Stage:
             trans=scale_gradient(trans, share),
             trans_initial=table.initial_trans[frames],
             frame_times=torch.tensor(frames, device=trans.device, dtype=trans.dtype) / table.fps,
+            betas_change=None if self.shape is None else self.shape.change,
         )
 
 
