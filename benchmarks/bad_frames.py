@@ -89,7 +89,8 @@ def plant(source: Path, folder: Path, seed: int) -> dict[str, list[int]]:
     return groups
 
 
-def main(argv: list[str] | None = None) -> None:
+@exit_cleanly
+def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("capture", type=Path, help="a capture in our layout with true poses, for example studio_male")
     parser.add_argument("--seed", type=int, default=0, help="of the errors and of the training (%(default)s)")
@@ -125,7 +126,8 @@ def main(argv: list[str] | None = None) -> None:
     print(format_table(list(rows[0]), [[str(value) for value in row.values()] for row in rows]))
     if args.json:
         write_json(args.json, rows)
+    return 0
 
 
 if __name__ == "__main__":
-    exit_cleanly(main)
+    main()

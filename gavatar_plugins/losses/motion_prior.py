@@ -17,7 +17,7 @@ class MotionPriorConfig(LossConfig):
 
     weight: float = 0.1
     translation: float = 1.0
-    betas: float = 1e-5
+    betas: float = 1e-3
 
 
 @LOSSES.register("motion_prior", config=MotionPriorConfig, summary="squared distance of the motion from its estimate")
