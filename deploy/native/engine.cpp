@@ -92,7 +92,7 @@ void sort_entries(Entry* entries, size_t n) { std::sort(entries, entries + n); }
 // A thread's entries: lists of blocks, which come from slabs that are used again by the next frame.
 struct ThreadBins {
   Bins bins{};
-  Buffer<TileList> lists;
+  Buffer<Entry*> cursors;
   std::vector<EntryBlock*> slabs;
   size_t used = 0;
   uint64_t frame = 0;  // the frame these bins belong to
@@ -101,27 +101,31 @@ struct ThreadBins {
   ~ThreadBins() {
     for (EntryBlock* slab : slabs) std::free(slab);
   }
-  EntryBlock* grow() {
+  EntryBlock* grow(EntryBlock* previous) {
     if (used == slabs.size() * SLAB) {
-      void* slab = std::aligned_alloc(64, sizeof(EntryBlock) * SLAB);
+      void* slab = std::aligned_alloc(sizeof(EntryBlock), sizeof(EntryBlock) * SLAB);
       if (!slab) throw std::bad_alloc();
       slabs.push_back(static_cast<EntryBlock*>(slab));
     }
     EntryBlock* block = slabs[used / SLAB] + used % SLAB;
     used++;
-    block->next = nullptr;
+    block->first = previous ? previous->first : block;
+    block->before = previous ? previous->before + EntryBlock::CAPACITY : 0;
+    if (previous) previous->next = block;
     return block;
   }
   void begin(uint64_t number, size_t tiles) {
     frame = number;
     used = 0;
-    bins.tiles = lists.reserve(tiles);
-    std::memset(static_cast<void*>(bins.tiles), 0, tiles * sizeof(TileList));
+    bins.cursors = cursors.reserve(tiles);
+    std::fill_n(bins.cursors, tiles, NO_ENTRIES);
     bins.visible = bins.dropped = 0;
     bins.owner = this;
   }
 };
-EntryBlock* grow_bins(Bins* bins) { return static_cast<ThreadBins*>(bins->owner)->grow(); }
+EntryBlock* grow_bins(Bins* bins, EntryBlock* previous) {
+  return static_cast<ThreadBins*>(bins->owner)->grow(previous);
+}
 
 struct Worker {
   ThreadBins bins;
@@ -281,10 +285,8 @@ void forward(Engine& e, GvFrame& frame, const GvGaussians& gaussians, const GvCa
   std::vector<size_t> offset(options.keep ? tiles : 0);
   for (size_t t = 0; t < tiles; t++) {
     uint32_t n = 0;
-    for (Bins* b : bins) {
-      const TileList& list = b->tiles[t];
-      n += list.blocks * EntryBlock::CAPACITY - list.left;
-    }
+    for (Bins* b : bins)
+      if (const EntryBlock* block = block_of(b->cursors[t])) n += (uint32_t)(block->before + (b->cursors[t] - block->entry));
     frame.counts[t] = n;
     frame.order[t] = (uint32_t)t;
     if (options.keep) offset[t] = entries;

@@ -36,26 +36,26 @@ struct Record {
 // coarser and the index longer.
 typedef uint64_t Entry;
 
+// 512 bytes at a multiple of 512, so that where the next entry goes says in which block, and whether that is full.
 struct EntryBlock {
-  static constexpr uint32_t CAPACITY = 62;
+  static constexpr uint32_t CAPACITY = 61;
   Entry entry[CAPACITY];
-  EntryBlock* next;
-  uint32_t count, padding;
+  EntryBlock *first, *next;  // of the tile; the last block's `next` is not set
+  uint64_t before;           // entries in the blocks before this one
 };
+static_assert(sizeof(EntryBlock) == 512, "the low nine bits of a cursor are its place in a block");
 
-struct TileList {
-  Entry* cursor;
-  uint32_t left;    // entries until the block is full
-  uint32_t blocks;  // blocks so far
-  EntryBlock *head, *tail;
-};
-
-// The entries that one thread has made, by tile.
+// The entries that one thread has made, by tile: cursors to where the next one goes, NO_ENTRIES at first.
 struct Bins {
-  TileList* tiles;
+  Entry** cursors;
   int64_t visible, dropped;
   void* owner;
 };
+static Entry* const NO_ENTRIES = (Entry*)(sizeof(Entry) * EntryBlock::CAPACITY);  // the end of no block
+
+static inline __attribute__((always_inline)) EntryBlock* block_of(const Entry* cursor) {
+  return (EntryBlock*)((uintptr_t)cursor & ~(uintptr_t)511);
+}
 
 // What is needed to project, in the types the arithmetic uses.
 struct Projection {
@@ -72,7 +72,7 @@ struct Projection {
   uint64_t columns[64], rows[64];
   Record* records;
   float* lift;  // log2(255 opacity), compensation included, or null for LOG2_255
-  EntryBlock* (*grow)(Bins*);
+  EntryBlock* (*grow)(Bins*, EntryBlock* previous);  // an empty block
 };
 
 // A tile's Gaussians in the order they were blended, kept for the backward.

@@ -72,6 +72,28 @@ GV_INLINE bool any_positive(V x) {
 #define GV_HAS_ESTIMATE 0
 #endif
 
+// The lowest bit of each lane of n whole vectors' worth of words, as a number.
+GV_INLINE uint64_t lowest_bits(const uint32_t* words, int n) {
+  uint64_t bits = 0;
+  for (int j = 0; j < n; j += LANES) {
+    U lanes;
+    __builtin_memcpy(&lanes, words + j, sizeof lanes);
+    lanes <<= 31;
+#if GV_LANES == 16 && defined(__AVX512F__)
+    uint64_t some = _mm512_movepi32_mask((__m512i)lanes);
+#elif GV_LANES == 8 && defined(__AVX2__)
+    uint64_t some = (uint32_t)_mm256_movemask_ps((__m256)lanes);
+#elif GV_LANES == 4 && defined(__SSE4_1__)
+    uint64_t some = (uint32_t)_mm_movemask_ps((__m128)lanes);
+#else
+    uint64_t some = 0;
+    for (int i = 0; i < LANES; i++) some |= (uint64_t)(lanes[i] >> 31) << i;
+#endif
+    bits |= some << j;
+  }
+  return bits;
+}
+
 // 1/x to float32 accuracy. The estimate has 12 bits or more, one Newton step doubles them; a division costs more.
 GV_INLINE V reciprocal(V x) {
 #if GV_HAS_ESTIMATE
