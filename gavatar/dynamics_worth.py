@@ -87,9 +87,11 @@ def weigh_dynamics(result: Evaluation, device: str | torch.device = "cpu") -> Dy
 @torch.no_grad()
 def _network_seconds(run, poses: list[np.ndarray]) -> float:
     """Median seconds of encoding and decoding one pose; each is timed twice, since the first run is slow."""
-    seconds = []
+    seconds, device = [], next(run.avatar.parameters()).device
     for pose in [poses[0], *poses, *poses]:
         start = time.perf_counter()
         run.avatar.attributes(pose_features(run.avatar, run.built, pose[None]))
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)  # else only the launch of its kernels is timed
         seconds.append(time.perf_counter() - start)
     return float(np.median(seconds[1:]))

@@ -26,6 +26,7 @@ from gavatar_runtime.expression import MEMBER as EXPRESSION
 from gavatar_runtime.pose_blendshapes import MEMBER as POSE_BLENDSHAPES
 from gavatar_runtime.rasterizers import SWITCHES
 from gavatar_runtime.spacing import evenly_spaced
+from gavatar_runtime.tiers import DEFAULT, members_read
 
 from .attributes import encoder_inputs
 from .blendshapes import expression_of, pose_blendshapes_of
@@ -37,6 +38,7 @@ from .training.run import Run
 from .unseen import difference, seen
 
 POSITION_TOLERANCE = 1e-4  # metres: a tenth of a millimetre, far below a pixel at any sensible distance
+SAME_TIME, SAME_PSNR = 1.1, 0.5  # times, and dB, within which two tiers are alike
 COLOR_TOLERANCE = 1 / 255  # one 8-bit step
 
 
@@ -165,7 +167,7 @@ def export_front(run: Run, path: str | Path, poses: int = 8, *, progress: bool =
         bundle = read_bundle(draft)
         members = {name: bundle.read(name) for name in bundle.manifest.members}
     kept = on_front(manifest.tiers)
-    wanted = set(manifest.required) | {EXPRESSION, POSE_BLENDSHAPES} | {m for tier in kept for m in tier["members"]}
+    wanted = members_read(bundle, [tier["name"] for tier in kept])
     return write_bundle(
         path, dataclasses.replace(manifest, tiers=kept), {k: v for k, v in members.items() if k in wanted}
     )
@@ -180,15 +182,23 @@ def _check_isotropic(run: Run) -> None:
 
 
 def on_front(tiers: Sequence[dict]) -> list[dict]:
-    """The descriptions of tiers that no other beats in both `frame_ms` and `psnr_capture`; `full` always stays."""
+    """The descriptions of tiers that pay; `full` always stays.
 
-    def beaten(tier: dict) -> bool:
-        return any(
-            o["frame_ms"] <= tier["frame_ms"] and o["psnr_capture"] >= tier["psnr_capture"] and o is not tier
-            for o in tiers
-        )
+    A tier does not pay where another is no slower and no farther from the full model, both on the capture's poses and
+    on mixed ones: within SAME_TIME and SAME_PSNR, for times vary, and such differences are none to choose by. Of two
+    that are alike in all the closer one stays.
+    """
+    qualities = ("psnr_capture", "psnr_mixed")
 
-    return [tier for tier in tiers if tier["name"] == "full" or not beaten(tier)]
+    def beats(one: dict, other: dict) -> bool:
+        near = all(one[q] >= other[q] - SAME_PSNR for q in qualities)
+        return near and one["frame_ms"] <= SAME_TIME * other["frame_ms"]
+
+    kept: list[dict] = []
+    for tier in sorted(tiers, key=lambda t: (t["name"] == DEFAULT, sum(t[q] for q in qualities)), reverse=True):
+        if not any(beats(other, tier) for other in kept):
+            kept = [other for other in kept if other["name"] == DEFAULT or not beats(tier, other)] + [tier]
+    return [tier for tier in tiers if any(tier is other for other in kept)]
 
 
 def _with_needs(names: Sequence[str], run: Run) -> list[str]:
@@ -197,14 +207,14 @@ def _with_needs(names: Sequence[str], run: Run) -> list[str]:
     wanted = []
     for name in dict.fromkeys(names):
         for needed in (*TIERS[name].factory.needs, name):
-            if needed not in wanted and needed != "full":
+            if needed not in wanted and needed != DEFAULT:
                 wanted.append(needed)
     if wanted and run.avatar.encoder is None:
         raise UserError(
             f"{run.directory}: a static avatar needs no tiers (asked: {', '.join(wanted)}): it is decoded once; leave "
             "--tiers out"
         )
-    return ["full", *wanted] if wanted else []
+    return [DEFAULT, *wanted] if wanted else []
 
 
 def _manifest(run: Run) -> Manifest:

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from gavatar_runtime.body import SMPL_BODY_JOINTS
-from gavatar_runtime.network import ROWS
+from gavatar_runtime.network import CHUNK, ROWS
 from gavatar_runtime.surface import Surface
 
 from .attributes import encoder_inputs
@@ -24,7 +24,6 @@ from .sampling import bilinear, sample_uv
 
 OPSET = 18
 OUTPUTS = ("offsets", "colors", "scales")
-CHUNK = 2048  # rows: the widest activations of a chunk (2 MB) stay in the caches; 2048 to 8192 measured alike
 
 
 def fold_batchnorm(module: nn.Module) -> nn.Module:

@@ -17,6 +17,7 @@ from gavatar_runtime.surface import Surface
 
 from .evaluation import pose_features
 from .graphs import attributes_at
+from .sampling import bilinear
 from .training.run import Run
 
 MEAN_POSES = 24  # over which the still look is averaged: more moved it by less than an 8-bit step
@@ -143,11 +144,8 @@ def upsampling(coarse: Surface, fine: Surface) -> tuple[np.ndarray, np.ndarray]:
     R = coarse.resolution
     point_at = np.full(R * R, -1, np.int64)
     point_at[coarse.texel] = np.arange(len(coarse))
-    x, y = np.clip(np.asarray(fine.uv, np.float64) * R - 0.5, 0, R - 1).T
-    column, row = np.minimum(x.astype(int), R - 2), np.minimum(y.astype(int), R - 2)
-    a, b = x - column, y - row
-    index = np.stack([point_at[row * R + column + d] for d in (0, 1, R, R + 1)], -1)
-    weight = np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b], -1)
+    texels, weight = bilinear(fine.uv, R)
+    index = point_at[texels]
     near = np.linalg.norm(coarse.points[index] - fine.points[:, None], axis=-1) < 3 * coarse.spacing[index]
     weight = np.where((index >= 0) & near, weight, 0)
     alone = weight.sum(1) < 0.05

@@ -24,9 +24,9 @@ from gavatar_runtime.detail import WORTH, as_trained, uv_for_size
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.framing import frame_motion, size_on_screen
 from gavatar_runtime.motion import Motion
-from gavatar_runtime.player import build_rasterizer, play
+from gavatar_runtime.player import WRITE, build_rasterizer, play
 from gavatar_runtime.spacing import evenly_spaced
-from gavatar_runtime.tiers import player_tiers, stored_tiers
+from gavatar_runtime.tiers import DEFAULT, members_read, player_tiers, stored_tiers
 
 from .capture import Capture, View
 from .image_quality import mean_psnr
@@ -34,6 +34,7 @@ from .training.run import Run
 
 WHITE = (1.0, 1.0, 1.0)
 WARM = 5  # frames before the measured ones
+ROUNDS = 3  # in which choices take turns to be timed, so that a slow spell of the machine is nobody's alone
 QUALITY_FRAMES = 12  # evenly spaced over the motion, on which a choice is compared with the full model
 SWITCHES = ({"fast": True}, {"backface": 0.3}, {"depth_cut": 0.3}, {"resolution": 0.5})
 FOOTAGE_SPLITS = ("novel_pose", "test", "val")  # the first of these that a capture has is what it is held against
@@ -147,24 +148,51 @@ def default_choices(bundle: Bundle, auto_uv: int | None = None) -> list[Choice]:
     side = bundle.surfaces()[0].resolution
     levels = sorted({uv for uv in (64, 128, 256, 384, auto_uv or side) if uv < WORTH * side})
     choices = [Choice(tier) for tier in stored]
-    cheap = [t for t in ("blendshape", "baked") if t in stored] or stored
-    networks = [t for t in ("full", "int8", "coarse") if t in stored] if bundle.manifest.dynamic else []
+    kinds = {tier: player_tiers()[tier].factory for tier in stored}
+    networks = [t for t in stored if kinds[t].networks] if bundle.manifest.dynamic else []
+    cheap = [t for t in stored if t not in networks] or stored
     choices += [Choice(tier, uv=uv) for tier in cheap for uv in levels]
     if native_library.available()[0]:  # they are the compiled kernel's
         choices += [Choice(tier, **switch) for tier in cheap for switch in SWITCHES]
-    choices += [Choice(tier, reuse=k) for tier in networks if tier != "full" for k in (2, 4)]
+    choices += [Choice(tier, reuse=k) for tier in networks if tier != DEFAULT for k in (2, 4)]
     choices += [
         Choice(tier, seen_only=True) for tier in networks if Choice(tier, seen_only=True).open(bundle).seen_only
     ]
-    choices += [Choice("int8", uv=uv) for uv in levels if uv >= 256 and "int8" in networks]
+    finer = [uv for uv in levels if uv >= 256]
+    choices += [Choice(t, uv=uv) for t in networks if kinds[t].picks and t != DEFAULT for uv in finer]
     return choices
 
 
-def measure_speed(
-    row: Row, bundle: Bundle, motion: Motion, camera: Camera, threads: int | None = None, budget_s: float = 12.0
+def measure_speeds(
+    rows: Sequence[Row],
+    bundle: Bundle,
+    motion: Motion,
+    camera: Camera,
+    *,
+    threads: int | None = None,
+    budget_s: float = 12.0,
+    rounds: int = ROUNDS,
 ) -> None:
-    """Fill in fps and stages over the motion; slow choices see as many of its first frames as `budget_s` allows."""
-    avatar, rasterizer = row.choice.open(bundle, threads), row.choice.rasterizer(threads, bundle.manifest.rasterizer)
+    """Fill in fps and stages over the motion, all rounds of a choice together; slow choices see as many of its first
+    frames as `budget_s` allows."""
+    found: dict[int, list[tuple[np.ndarray, dict]]] = {i: [] for i in range(len(rows))}
+    for _ in range(rounds):
+        for i, row in enumerate(rows):
+            found[i].append(_timed(row.choice, bundle, motion, camera, threads, budget_s / rounds))
+    for i, row in enumerate(rows):
+        walls = np.concatenate([walls for walls, _ in found[i]])
+        row.median_ms = float(np.median(walls))
+        row.spread_ms = tuple(float(v) for v in np.percentile(walls, (10, 90)))
+        row.fps, row.frames = 1e3 / row.median_ms, len(walls) * row.choice.reuse
+        stages = [stages for _, stages in found[i]]
+        row.stage_ms = {k: float(np.median([s[k] for s in stages])) for k in stages[0]}
+
+
+def _timed(
+    choice: Choice, bundle: Bundle, motion: Motion, camera: Camera, threads: int | None, budget_s: float
+) -> tuple[np.ndarray, dict[str, float]]:
+    """Milliseconds of each frame, warm-up left out, and medians by stage."""
+    avatar, rasterizer = choice.open(bundle, threads), choice.rasterizer(threads, bundle.manifest.rasterizer)
     avatar.with_normals = getattr(rasterizer, "wants_normals", False)
     start = perf_counter()
     for i in range(2):
@@ -175,12 +203,9 @@ def measure_speed(
     timings = play(avatar, part, camera, rasterizer, _Nowhere())
     walls = 1e3 * np.array(timings.walls[WARM:])
     # where decodes are reused, frames with one and without take turns: what counts is the mean of a turn
-    turns = max(1, len(walls) // row.choice.reuse)
-    walls = walls[: turns * row.choice.reuse].reshape(turns, -1).mean(1)
-    row.median_ms = float(np.median(walls))
-    row.spread_ms = tuple(float(v) for v in np.percentile(walls, (10, 90)))
-    row.fps, row.frames = 1e3 / row.median_ms, len(timings) - WARM
-    row.stage_ms = {k: 1e3 * v for k, v in timings.medians().items() if k != "write"}
+    turns = max(1, len(walls) // choice.reuse)
+    walls = walls[: turns * choice.reuse].reshape(turns, -1).mean(1)
+    return walls, {k: 1e3 * v for k, v in timings.medians().items() if k != WRITE}
 
 
 def psnr(image: np.ndarray, reference: np.ndarray) -> float:
@@ -263,8 +288,7 @@ def _run(command: list[str]) -> None:
 
 def tier_bytes(bundle: Bundle, tier: str) -> int:
     """Size of the members that a tier reads."""
-    members = ("surface.npz", "body.npz", *player_tiers()[tier].factory.members)
-    return sum(len(bundle.read(m)) for m in members if m in bundle.manifest.members)
+    return sum(len(bundle.read(member)) for member in members_read(bundle, [tier]))
 
 
 def mark_dominated(rows: list[Row]) -> None:
@@ -295,8 +319,8 @@ def run_ladder(
 ) -> list[Row]:
     """Measure every choice. motion: fitted to the avatar. perceptual: a function of two (1, 3, H, W) images or None."""
     bundle = read_bundle(path)
-    reference = Choice("full")
-    avatar = reference.open(bundle)
+    reference = Choice(DEFAULT)
+    avatar = Avatar(bundle, tier=None)
     camera = frame_motion(avatar, motion, width, height)
     if choices is None:
         auto = uv_for_size(avatar.surface, size_on_screen(avatar, motion, [camera] * len(motion)))
@@ -307,13 +331,19 @@ def run_ladder(
     if capture is not None:
         truth, views, targets, _ = footage(capture)
         held = avatar.fit(truth)[0], views, targets, [capture.cameras[v.camera] for v in views]
-    del avatar
-    rows = []
-    for choice in choices:
-        opened = choice.open(bundle)
-        row = Row(choice, len(opened), width, height, bundle_mb=tier_bytes(bundle, choice.tier) / 1e6)
-        del opened
-        measure_speed(row, bundle, motion, camera, threads)
+    rows = [
+        Row(
+            choice,
+            len(Avatar(bundle, tier=None, uv=choice.uv)),
+            width,
+            height,
+            bundle_mb=tier_bytes(bundle, choice.tier) / 1e6,
+        )
+        for choice in choices
+    ]
+    measure_speeds(rows, bundle, motion, camera, threads=threads)
+    for row in rows:
+        choice = row.choice
         ours = images(choice, bundle, motion, frames, [camera] * len(frames))
         row.psnr_vs_full, row.worst_psnr_vs_full, row.perceptual_vs_full = compare(ours, full, perceptual)
         if held is not None:
@@ -325,7 +355,6 @@ def run_ladder(
         if processes:
             measure_process(row, path)
         say(f"{choice.label}: {row.fps:.1f} frames per second, {row.psnr_vs_full:.1f} dB against full")
-        rows.append(row)
     mark_dominated(rows)
     return rows
 
@@ -340,27 +369,44 @@ def describe_tiers(path: Path, run: Run, size: int = 512, progress: bool = False
     real = source.train_poses[evenly_spaced(len(source.train_poses), 8)]
     sets = {"capture": real, "mixed": source.random_poses(8, seed=1)}
     sets = {k: Motion(v, np.zeros((len(v), 3), np.float32), 30.0) for k, v in sets.items()}
-    avatar = Choice("full").open(bundle)
+    avatar = Avatar(bundle, tier=None)
     cameras = {k: frame_motion(avatar, m, size, size) for k, m in sets.items()}
 
     def draw(tier: str) -> dict[str, list[np.ndarray]]:
         return {k: images(Choice(tier), bundle, m, range(len(m)), [cameras[k]] * len(m)) for k, m in sets.items()}
 
-    full = draw("full")
+    motion = sets["capture"]
+    many = dataclasses.replace(motion, poses=np.tile(motion.poses, (5, 1, 1)), trans=np.tile(motion.trans, (5, 1)))
+    rows = [Row(Choice(tier), len(run.avatar.surface), size, size) for tier in stored_tiers(bundle)]
+    measure_speeds(rows, bundle, many, cameras["capture"], budget_s=3.0)
+    full = draw(DEFAULT)
     described = []
-    for tier in stored_tiers(bundle):
+    for row in rows:
+        tier = row.choice.tier
         entry: dict = {"name": tier, "members": list(player_tiers()[tier].factory.members)}
-        drawn = full if tier == "full" else draw(tier)
+        drawn = full if tier == DEFAULT else draw(tier)
         for key in sets:
             mean, worst, _ = compare(drawn[key], full[key])
             entry |= {f"psnr_{key}": round(mean, 2), f"worst_psnr_{key}": round(worst, 2)}
-        row = Row(Choice(tier), len(run.avatar.surface), size, size)
-        motion = sets["capture"]
-        many = dataclasses.replace(motion, poses=np.tile(motion.poses, (5, 1, 1)), trans=np.tile(motion.trans, (5, 1)))
-        measure_speed(row, bundle, many, cameras["capture"], budget_s=3.0)
         entry |= {"frame_ms": round(row.median_ms, 2), "size": size, "cores": os.cpu_count(), "machine": machine()}
         described.append(entry)
     return described
+
+
+def yardstick() -> str:
+    """What the machine does at this moment, to compare tables of two days by: NumPy's float32 product of two
+    2048 x 2048 matrices (all cores), and copying 64 MB (one core)."""
+    a, b = np.ones((2048, 2048), np.float32), np.ones(1 << 24, np.float32)
+
+    def rate(work: float, action) -> float:
+        seconds = []
+        for _ in range(9):
+            start = perf_counter()
+            action()
+            seconds.append(perf_counter() - start)
+        return work / float(np.median(seconds[1:])) / 1e9
+
+    return f"{rate(2 * 2048**3, lambda: a @ a):.0f} GFLOP/s, {rate(2 * b.nbytes, lambda: b.copy()):.0f} GB/s"
 
 
 def machine() -> str:

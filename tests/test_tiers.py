@@ -28,6 +28,7 @@ from gavatar_runtime.detail import thinned, uv_for_size
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.framing import frame_motion, size_on_screen
 from gavatar_runtime.motion import Motion
+from gavatar_runtime.network import CHUNK
 from gavatar_runtime.player import build_rasterizer, play
 from gavatar_runtime.selection import choose_tier
 from gavatar_runtime.tiers import player_tiers, stored_tiers
@@ -110,6 +111,40 @@ def test_residuals_refuse_a_part_or_row_that_is_not_there():
     for function in (residuals.upsample, residuals.upsample_reference):
         with pytest.raises(IndexError, match="index"):
             function(base, index, np.ones((10, 2), np.float32), np.ones((3, 8), np.float32), residuals.empty(10))
+
+
+def test_threads_that_share_the_rows_decode_the_same(fine):
+    pose = np.random.default_rng(0).normal(0, 0.3, (52, 3)).astype(np.float32)
+    for tier in ("full", "int8"):
+        one, three = (Avatar(fine, tier=tier, threads=n) for n in (1, 3))
+        assert three._tier._decoder._workers == 3
+        assert len(three) > 2 * CHUNK  # so that all three have a share
+        for _ in range(2):  # the first call finds the shapes, the next fills what is there
+            a, b = one.gaussians(pose), three.gaussians(pose)
+            for x, y in ((a.means, b.means), (a.scales, b.scales), (a.colors, b.colors)):
+                np.testing.assert_allclose(x, y, atol=1e-6)  # products of other shapes may be summed in another order
+
+
+def test_rows_that_no_thread_can_decode_are_an_error_of_the_call(fine):
+    decoder = Avatar(fine, threads=2)._tier._decoder
+    size = fine.surfaces()[1].resolution
+    features = np.zeros((1, decoder._session.get_inputs()[0].shape[1], size, size), np.float32)
+    rows = np.arange(2 * CHUNK, dtype=np.int32)
+    rows[-1] = 10**6  # in the other thread's share
+    with pytest.raises(Exception, match=r"(?i)gather|indices"):
+        decoder(features, rows=rows)
+    assert [len(x) for x in decoder(features, rows=rows[:1])] == [1, 1, 1]
+
+
+def test_the_body_alone_is_what_framing_needs_and_gives_no_gaussians(fine):
+    body, avatar = Avatar(fine, tier=None), Avatar(fine)
+    assert len(body) == len(avatar)
+    assert not body.networks
+    assert avatar.networks
+    motion = Motion(np.zeros((2, 52, 3), np.float32), np.float32([[0, 0, 0], [0, 0, 1.0]]), 30.0)
+    assert frame_motion(body, motion, 64, 64).fx == frame_motion(avatar, motion, 64, 64).fx
+    with pytest.raises(ValueError, match="tier=None"):
+        body.gaussians(np.zeros((52, 3), np.float32))
 
 
 # exact rewrites
@@ -466,7 +501,9 @@ def test_the_player_keeps_a_budget_and_says_what_it_did(bundle, tmp_path, capsys
 
 
 def arguments(**values):
-    return argparse.Namespace(**{"tier": None, "min_psnr": None, "target_fps": None, **values})
+    return argparse.Namespace(
+        **{"tier": None, "min_psnr": None, "target_fps": None, "fps": None, "reuse": 1, "seen_only": False} | values
+    )
 
 
 def test_the_player_picks_a_tier_by_closeness_or_speed(bundle):
@@ -487,7 +524,16 @@ def test_the_player_picks_a_tier_by_closeness_or_speed(bundle):
         choose_tier(fake, arguments(target_fps=150.0, min_psnr=35.0))
     with pytest.raises(UserError, match="one or the other"):
         choose_tier(fake, arguments(tier="baked", min_psnr=35.0))
+    # the rate of a video is a wish: the closest that reaches it, else the fastest
+    assert choose_tier(fake, arguments(fps=2.0)) == "full"
+    assert choose_tier(fake, arguments(fps=30.0)) == "blendshape"
+    assert choose_tier(fake, arguments(fps=1000.0)) == "baked"
+    assert choose_tier(fake, arguments(fps=150.0, min_psnr=35.0)) == "blendshape"
+    assert choose_tier(fake, arguments(fps=24.0, target_fps=150.0)) == "baked"
+    assert choose_tier(fake, arguments(fps=150.0, tier="full")) == "full"
+    assert choose_tier(fake, arguments(fps=150.0, reuse=2)) == choose_tier(fake, arguments(fps=9.0, seen_only=True))
     fake.manifest = dataclasses.replace(made, tiers=[])
+    assert choose_tier(fake, arguments(fps=30.0)) == "full"  # a bundle of one tier plays as it is
     with pytest.raises(UserError, match="holds no measured tiers"):
         choose_tier(fake, arguments(min_psnr=35.0))
 
@@ -496,8 +542,25 @@ def test_only_what_is_beaten_in_both_is_dominated():
     rows = [Row(Choice(n), 1, 8, 8, fps=f, psnr_vs_full=p) for n, f, p in [("a", 1, 100), ("b", 9, 40), ("c", 8, 39)]]
     mark_dominated(rows)
     assert [row.dominated for row in rows] == [False, False, True]
-    tiers = [{"name": r.choice.tier, "frame_ms": 1000 / r.fps, "psnr_capture": r.psnr_vs_full} for r in rows]
-    assert [t["name"] for t in on_front(tiers)] == ["a", "b"]
+
+
+def test_tiers_that_pay_are_chosen_beyond_the_noise_of_times():
+    def front(**tiers) -> list[str]:
+        return [
+            t["name"]
+            for t in on_front(
+                [{"name": n, "frame_ms": ms, "psnr_capture": c, "psnr_mixed": m} for n, (ms, c, m) in tiers.items()]
+            )
+        ]
+
+    assert front(full=(400, 100, 100), a=(9, 40, 40), b=(10, 39, 39)) == ["full", "a"]
+    assert front(full=(400, 100, 100), b=(9, 39, 39), a=(9.5, 40, 40)) == ["full", "a"]  # 9 against 9.5 ms is noise
+    assert front(full=(400, 100, 100), a=(9, 40, 38), b=(50, 40, 40)) == ["full", "a", "b"]  # closer on mixed poses
+    assert front(full=(400, 100, 100), a=(9, 40, 39.6), b=(50, 40.1, 40)) == ["full", "a"]  # not by enough to pay
+    assert front(full=(13.1, 100, 100), int8=(13.0, 62, 62)) == ["full"]
+    assert front(full=(13, 100, 100), int8=(9, 62, 62)) == ["full", "int8"]
+    assert front(a=(9, 40, 40), b=(9, 40, 40)) == ["a"]  # one of two that are alike
+    assert front(full=(10, 100, 100), a=(20, 100, 100)) == ["full"]
 
 
 def test_images_of_a_choice_compared_with_themselves_are_equal(bundle):

@@ -17,10 +17,7 @@ from .tiers import DEFAULT
 REUSE = (1, 2, 4, 8)
 DETAIL = (0.75, 0.5, 0.375, 0.25)  # of the side of the atlas
 PATIENCE, RECOVERY = 4, 30  # frames looked at before it gets cheaper, and before it gets finer
-TYPICAL, NEARLY_ALL = (
-    50,
-    90,
-)  # percentiles: over the budget is what a typical frame is, well under it what nearly all are
+TYPICAL, NEARLY_ALL = 50, 90  # percentiles: over the budget is a typical frame, well under it are nearly all
 FAR = 2.0  # times the budget: so slow that two levels are skipped at once
 EASE = 0.6  # of the budget: what nearly all frames must stay under for a finer level to be tried
 SETTLE = 2  # frames after a change that say nothing: one was decoded before it, one opens the new level
@@ -44,8 +41,7 @@ class AdaptiveAvatar:
         self.budget_s = budget_s
         self.finest = self._make(1, None)
         side = self.finest.surface.resolution
-        networks = tier in ("full", "int8", "coarse") and self.finest.dynamic
-        reuses = REUSE if networks else (1,)
+        reuses = REUSE if self.finest.networks else (1,)
         uvs = [max(64, round(side * share)) for share in DETAIL]
         self.levels = [(reuse, None) for reuse in reuses]
         self.levels += [(reuses[-1], uv) for uv in dict.fromkeys(uvs) if uv < side]

@@ -31,12 +31,13 @@ from .visibility import seen_from
 class Avatar:
     """The avatar of a bundle, ready to be posed.
 
-    bundle: an opened `Bundle` or the path of one. tier: how its Gaussians are decoded, one that the
-    bundle holds. uv: level of detail as a side of the atlas, None for all Gaussians of the bundle (`detail.thinned`).
+    bundle: an opened `Bundle` or the path of one. tier: how its Gaussians are decoded, one that the bundle holds; None
+    opens the body alone, at a fraction of the cost, for whatever asks for no Gaussians. uv: level of detail as a side
+    of the atlas, None for all Gaussians of the bundle (`detail.thinned`).
     reuse: decode every so many calls only and fade from one result to the next in between, which lags by as many; it
     takes the calls for the frames of one motion. seen_only: decode only what the camera given to `gaussians` can see,
     where the tier and the bundle can do that and decodes are not reused (`visibility.seen_from`).
-    threads: of ONNX Runtime within one operator, None for one a core.
+    threads: that decode, None for one a core.
     joint_names: of the body, J names. joints: (J, 3) rest joints of its shape, metres. surface: where its N Gaussians
     sit. uv: the side of the atlas that they stand for. expression: `Expression` of bodies that have a face, or None.
     with_normals: whether `gaussians` shall give normals, for rasterizers that want them.
@@ -48,7 +49,7 @@ class Avatar:
         self,
         bundle: Bundle | str | os.PathLike,
         *,
-        tier: str = DEFAULT,
+        tier: str | None = DEFAULT,
         uv: int | None = None,
         reuse: int = 1,
         seen_only: bool = False,
@@ -72,8 +73,10 @@ class Avatar:
         self.with_normals = False
         self.stage_seconds: dict[str, float] = {}
         self.tier = tier
-        self._tier = self._build_tier(tier, Parts(self.bundle, stored, map_surface, threads, chosen, added))
-        self.seen_only = seen_only and self._tier.picks and self._tier.moves and reuse == 1
+        self._tier = None
+        if tier is not None:
+            self._tier = self._build_tier(tier, Parts(self.bundle, stored, map_surface, threads, chosen, added))
+        self.seen_only = bool(seen_only and self.networks and self._tier.picks and reuse == 1)
         self._reuse, self._faded = reuse, None
         self._mixed = [empty(len(self.surface)) for _ in range(3)] if reuse > 1 else []
         self._static = None
@@ -97,6 +100,11 @@ class Avatar:
     def dynamic(self) -> bool:
         """Whether the look depends on the pose."""
         return self.bundle.manifest.dynamic
+
+    @property
+    def networks(self) -> bool:
+        """Whether networks run over Gaussians in each frame that is decoded."""
+        return self._tier is not None and self._tier.networks and self._tier.moves
 
     def fit(self, motion: Motion) -> tuple[Motion, tuple[str, ...]]:
         """The motion brought to this body's joints, and the names of what moves in it that the body lacks.
@@ -140,8 +148,11 @@ class Avatar:
         whose `expression` is None takes none. camera: that will look at it, which only `seen_only` needs.
         Returns N isotropic Gaussians in the world, float32, opaque (fewer with `seen_only`); their arrays are filled
         again by the third call from this one, so copy what is to be kept.
-        Raises UserError for a NaN or infinite pose or expression, ValueError for an expression that it cannot have.
+        Raises UserError for a NaN or infinite pose or expression, ValueError for an expression that it cannot have and
+        for an avatar without a tier.
         """
+        if self._tier is None:
+            raise ValueError("this avatar was opened with tier=None: it has a body and no Gaussians")
         pose = np.asarray(pose, np.float32)
         if pose.ndim != 2 or pose.shape[1] != 3:
             raise ValueError(f"pose has shape {pose.shape}, expected (J, 3)")
@@ -156,40 +167,30 @@ class Avatar:
         surface, A = self._transforms(pose, coefficients)
         A[:, :3, 3] += trans
         self._calls += 1
-        normals = self._skinned_normals(surface, A) if self.with_normals or self.seen_only else None
-        if self.seen_only and camera is not None:
-            return self._seen(pose, coefficients, surface, A, normals, camera, start)
+        look = camera if self.seen_only else None
+        normals = self._skinned_normals(surface, A) if self.with_normals or look is not None else None
+        means, index, weight = self._means[self._calls % 3], surface.joint_index, surface.joint_weight
+        rows = None
+        if look is not None:
+            rows = seen_from(skin(surface.points, index, weight, A, means), normals, look)
+            index, weight, normals, means = index[rows], weight[rows], normals[rows], means[: len(rows)]
         before = perf_counter() - start
-        points, colors, scales = self._decode(pose)
+        points, colors, scales = self._decode(pose, rows)
         decoded = perf_counter()
-        if self._pose_blendshapes is not None:
-            points = points + self._pose_blendshapes.offsets(pose, self._turns)
-        if coefficients is not None:
-            points = self.expression.points(points, coefficients)
-        means = skin(points, surface.joint_index, surface.joint_weight, A, self._means[self._calls % 3])
+        points = self._shaped(points, pose, coefficients, rows)
+        means = skin(points, index, weight, A, means)
         self.stage_seconds = {**self._tier.stage_seconds, "skin": before + perf_counter() - decoded}
         return Gaussians(means=means, scales=scales, colors=colors, normals=normals if self.with_normals else None)
 
-    def _seen(self, pose, coefficients, surface: Surface, A: np.ndarray, normals: np.ndarray, camera: Camera, start):
-        """As `gaussians`, of those that the camera can see."""
-        means = self._means[self._calls % 3]
-        body = skin(surface.points, surface.joint_index, surface.joint_weight, A, means)
-        rows = seen_from(body, normals, camera)
-        found = perf_counter()
-        if len(rows):
-            points, colors, scales = self._tier(pose, rows)
-        else:
-            points, colors, scales = empty(0)
-            self._tier.stage_seconds = {"encode": 0.0, "decode": 0.0}
-        decoded = perf_counter()
+    def _shaped(self, points: np.ndarray, pose, coefficients: np.ndarray | None, rows: np.ndarray | None) -> np.ndarray:
+        """Canonical points moved by blendshapes of pose and expression. rows: which they are, or None."""
         if self._pose_blendshapes is not None:
-            points = points + self._pose_blendshapes.offsets(pose, self._turns)[rows]
-        if coefficients is not None:
-            points = self.expression.taken(rows, len(self)).points(points, coefficients)
-        means = skin(points, surface.joint_index[rows], surface.joint_weight[rows], A, means[: len(rows)])
-        seconds = found - start + perf_counter() - decoded
-        self.stage_seconds = {**self._tier.stage_seconds, "skin": seconds}
-        return Gaussians(means, scales, colors, normals=normals[rows] if self.with_normals else None)
+            offsets = self._pose_blendshapes.offsets(pose, self._turns)
+            points = points + (offsets if rows is None else offsets[rows])
+        if coefficients is None:
+            return points
+        expression = self.expression if rows is None else self.expression.taken(rows, len(self))
+        return expression.points(points, coefficients)
 
     def _coefficients(self, expression: np.ndarray) -> np.ndarray:
         """All E coefficients of an expression."""
@@ -219,7 +220,12 @@ class Avatar:
         out = self._normals[self._calls % 3]
         return skin(surface.normals, surface.joint_index, surface.joint_weight, turn, out)
 
-    def _decode(self, pose: np.ndarray):
+    def _decode(self, pose: np.ndarray, rows: np.ndarray | None = None):
+        if rows is not None and len(rows):
+            return self._tier(pose, rows)
+        if rows is not None:
+            self._tier.stage_seconds = {"encode": 0.0, "decode": 0.0}
+            return empty(0)
         if self._tier.moves:
             return self._tier(pose) if self._reuse == 1 else self._reused(pose)
         if self._static is None:

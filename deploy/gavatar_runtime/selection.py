@@ -8,22 +8,26 @@ from .bundle import Bundle
 from .errors import UserError
 from .tiers import DEFAULT, stored_tiers
 
+NEEDED = {"name", "frame_ms", "psnr_capture", "worst_psnr_capture"}  # of what the manifest says of a tier
+
 
 def choose_tier(bundle: Bundle, arguments: argparse.Namespace) -> str:
-    """The tier of `--tier`, or the one that `--min-psnr` and `--target-fps` pick, else `full`.
+    """The tier of `--tier`, or the one that `--min-psnr`, `--target-fps` and `--fps` pick, else `full`.
 
     min_psnr: the fastest of those whose worst frame on the capture's poses was that close to the full model.
     target_fps: the closest of those that are fast enough, by the frame times of the manifest, measured where it was
-    exported. Raises UserError for --tier beside these, for a bundle without figures and for a wish that no stored tier
-    grants.
+    exported. fps: likewise, without target_fps, but a wish: else the fastest, for the video has that rate at any speed;
+    and not where the bundle says nothing of its tiers, nor with --reuse or --seen-only, which need networks.
+    Raises UserError for --tier beside these, for a bundle without figures and for a wish that no stored tier grants.
     """
     if arguments.tier and (arguments.min_psnr or arguments.target_fps):
         raise UserError("--tier names a tier and --min-psnr and --target-fps choose one: give one or the other")
     if arguments.tier:
         return arguments.tier
-    if not (arguments.min_psnr or arguments.target_fps):
+    tiers = [t for t in bundle.manifest.tiers if isinstance(t, dict) and set(t) >= NEEDED]
+    wish = arguments.fps if tiers and arguments.reuse == 1 and not arguments.seen_only else None
+    if not (arguments.min_psnr or arguments.target_fps or wish):
         return DEFAULT
-    tiers = [t for t in bundle.manifest.tiers if isinstance(t, dict) and {"frame_ms", "worst_psnr_capture"} <= set(t)]
     if not tiers:
         raise UserError(
             f"{bundle.path} holds no measured tiers ({', '.join(stored_tiers(bundle))} only); export it with "
@@ -32,8 +36,11 @@ def choose_tier(bundle: Bundle, arguments: argparse.Namespace) -> str:
     fits = tiers
     if arguments.min_psnr:
         fits = [t for t in fits if t["name"] == DEFAULT or t["worst_psnr_capture"] >= arguments.min_psnr]
-    if arguments.target_fps:
-        fast = [t for t in fits if 1000 / t["frame_ms"] >= arguments.target_fps]
+    rate = arguments.target_fps or wish
+    if rate:
+        fast = [t for t in fits if 1000 / t["frame_ms"] >= rate]
+        if not fast and not arguments.target_fps:
+            return min(fits, key=lambda t: t["frame_ms"])["name"]
         if not fast:
             best = min(fits, key=lambda t: t["frame_ms"])
             raise UserError(

@@ -18,7 +18,9 @@ EPILOG = """examples
   gavatar-tradeoff anna.gavatar --capture my_capture --json rows.json --figure front.png
   gavatar-tradeoff anna.gavatar --motion dance.npz --size 1024
 
-Frame times are medians after a warm-up; writing the video is not part of them. PSNR is of whole frames on white.
+Frame times are medians after a warm-up over three rounds in which the choices take turns; writing the video is not
+part of them. PSNR is of whole frames on white. GFLOP/s and GB/s are of one matrix product and one copy, before and
+after, by which tables of two days can be compared.
 """
 
 
@@ -56,7 +58,7 @@ def main(argv: list[str] | None = None) -> int:
     from ..files import write_json
     from ..metrics import perceptual_metric
     from ..registry import load_plugins
-    from ..tradeoff import Choice, machine, run_ladder
+    from ..tradeoff import Choice, machine, run_ladder, yardstick
     from ..tradeoff_report import figure, table
 
     if a.size < 16 or a.frames < 8:
@@ -69,17 +71,18 @@ def main(argv: list[str] | None = None) -> int:
         motion = read_motion(a.motion)
     else:
         motion = (capture.truth or capture.motion) if capture else read_motion("wave")
-    motion = Avatar(bundle).fit(motion)[0]
+    motion = Avatar(bundle, tier=None).fit(motion)[0]
     there_and_back = np.r_[: len(motion), len(motion) - 2 : 0 : -1] if len(motion) > 2 else np.arange(len(motion))
     index = np.resize(there_and_back, a.frames)
     motion = motion.taken(index)
     choices = [Choice(tier.strip()) for tier in a.tiers.split(",")] if a.tiers else None
     perceptual, name = (None, None) if a.no_perceptual else perceptual_metric()
+    before = yardstick()
     rows = run_ladder(
         path, motion, a.size, a.size, capture=capture, choices=choices, perceptual=perceptual,
         processes=not a.no_process, threads=a.threads, say=lambda text: print(text, file=sys.stderr),
     )  # fmt: skip
-    print(table(rows, machine(), name))
+    print(table(rows, f"{machine()} ({before} before, {yardstick()} after)", name))
     if a.json:
         write_json(a.json, [row.as_json() for row in rows])
     if a.figure:

@@ -13,6 +13,7 @@ from ..errors import UserError, did_you_mean, exit_cleanly
 
 if TYPE_CHECKING:  # what these import must not slow down --help
     from ..avatar import Avatar
+    from ..bundle import Bundle
     from ..camera import Camera
     from ..motion import Motion
     from ..player import Timings
@@ -24,6 +25,8 @@ EPILOG = """examples
   gavatar-play anna.gavatar --motion wave --orbit --out wave.mp4
   gavatar-play anna.gavatar --motion dance.npz --frames 0:300 --size 1024 --out frames/
   gavatar-play anna.gavatar --motion wave --set motion.waves=3 --out sheet.png
+  gavatar-play anna.gavatar --fps 30                           by the closest stored tier that plays at 30
+  gavatar-play anna.gavatar --min-psnr 38                      by the fastest that is so close to the full model
   gavatar-play anna.gavatar --motion capture/body.npz --camera capture/cameras.json:cam0
 
 Motion files: .npz (AMASS, SMPL, SMPL-H, SMPL-X), .bvh, .pkl (AIST++), .pth (GaussianAvatar); see gavatar-motion. They
@@ -49,8 +52,9 @@ def parser() -> argparse.ArgumentParser:
                    help="of BVH: the pose that counts as standing at rest (default: offsets)")  # fmt: skip
     time = p.add_argument_group("time")
     time.add_argument(
-        "--fps", type=_positive, help=f"frames per second (default: the motion's own, at most {DEFAULT_FPS:g})"
-    )
+        "--fps", type=_positive, help="frames per second of the video, and, unless --tier says another, by the closest "
+        f"stored tier that plays so fast (default: the motion's own, at most {DEFAULT_FPS:g}, by tier full)",
+    )  # fmt: skip
     time.add_argument("--seconds", type=_positive, help="play for so long: a shorter motion repeats, a longer is cut")
     time.add_argument(
         "--frames", type=_slice, metavar="A:B", help="only frames A to B-1 at that rate, or A:B:STEP, or A"
@@ -73,8 +77,9 @@ def parser() -> argparse.ArgumentParser:
         "--min-psnr", type=_positive, metavar="DB", help="the fastest stored tier this close to the full model"
     )
     work.add_argument(
-        "--target-fps", type=_positive, metavar="FPS", help="the closest stored tier that plays so fast on this machine"
-    )
+        "--target-fps", type=_positive, metavar="FPS",
+        help="as --fps picks a tier, whatever the rate of the video; an error where none is so fast",
+    )  # fmt: skip
     work.add_argument(
         "--budget-ms",
         type=_positive,
@@ -114,44 +119,21 @@ def main(argv: list[str] | None = None) -> int:
         options["motion"]["rest"] = arguments.rest
 
     from .. import native_library
-    from ..avatar import Avatar
     from ..bundle import read_bundle
-    from ..detail import WORTH, uv_for_size
-    from ..framing import size_on_screen
     from ..motions import read_motion
     from ..player import build_rasterizer, play
     from ..selection import choose_tier
     from ..writers import open_writer
 
     motion = read_motion(arguments.motion, **options["motion"])
+    motion = clip(motion, arguments.fps, arguments.seconds, arguments.frames)
     bundle = read_bundle(arguments.avatar)
     tier = choose_tier(bundle, arguments)
-    if arguments.budget_ms:
-        from ..adaptive import AdaptiveAvatar
-
-        if arguments.uv or arguments.reuse > 1 or arguments.seen_only:
-            raise UserError(
-                "--budget-ms chooses the level of detail and the reuse: leave --uv, --reuse and --seen-only out"
-            )
-        avatar = AdaptiveAvatar(bundle, arguments.budget_ms / 1000, tier=tier, threads=arguments.threads)
-    else:
-        how = {"tier": tier, "reuse": arguments.reuse, "seen_only": arguments.seen_only, "threads": arguments.threads}
-        avatar = Avatar(bundle, uv=None if arguments.uv == AUTO else arguments.uv, **how)
-        if arguments.seen_only and not avatar.seen_only:
-            raise UserError(f"--seen-only: {_why_not_seen_only(avatar, arguments.reuse)}")
-    motion, ignored = avatar.fit(clip(motion, arguments.fps, arguments.seconds, arguments.frames))
-    if arguments.ground:
-        from ..grounding import grounded
-
-        motion, _ = grounded(avatar, motion)
+    avatar = open_avatar(bundle, tier, motion, arguments)
+    motion, ignored, cameras = staged(avatar, motion, arguments)
     rasterizer = build_rasterizer(
         arguments.rasterizer, options["rasterizer"], threads=arguments.threads, trained=bundle.manifest.rasterizer
     )
-    cameras = choose_cameras(arguments, avatar, motion)
-    if arguments.uv == AUTO:
-        uv = uv_for_size(avatar.surface, size_on_screen(avatar, motion, cameras))
-        if uv < WORTH * avatar.surface.resolution:
-            avatar = Avatar(bundle, uv=uv, **how)
     out, note = (arguments.out, "") if arguments.out else _default_output(arguments.avatar, motion.name)
     size = {"width": cameras[0].width, "height": cameras[0].height}
     writer = open_writer(out, **size, fps=motion.fps, background=arguments.background)
@@ -195,10 +177,56 @@ def main(argv: list[str] | None = None) -> int:
     return 0
 
 
+def open_avatar(bundle: Bundle, tier: str, motion: Motion, arguments: argparse.Namespace) -> Avatar:
+    """The avatar at the level of detail that is asked for, or one that adapts it."""
+    from ..avatar import Avatar
+
+    if arguments.budget_ms:
+        from ..adaptive import AdaptiveAvatar
+
+        if arguments.uv or arguments.reuse > 1 or arguments.seen_only:
+            raise UserError(
+                "--budget-ms chooses the level of detail and the reuse: leave --uv, --reuse and --seen-only out"
+            )
+        return AdaptiveAvatar(bundle, arguments.budget_ms / 1000, tier=tier, threads=arguments.threads)
+    uv = _uv_on_screen(bundle, motion, arguments) if arguments.uv == AUTO else arguments.uv
+    how = {"tier": tier, "reuse": arguments.reuse, "seen_only": arguments.seen_only, "threads": arguments.threads}
+    avatar = Avatar(bundle, uv=uv, **how)
+    if arguments.seen_only and not avatar.seen_only:
+        raise UserError(f"--seen-only: {_why_not_seen_only(avatar, arguments.reuse)}")
+    return avatar
+
+
+def _uv_on_screen(bundle: Bundle, motion: Motion, arguments: argparse.Namespace) -> int | None:
+    """The level of detail that the person's largest size in the images is worth."""
+    from ..avatar import Avatar
+    from ..detail import WORTH, uv_for_size
+    from ..framing import size_on_screen
+
+    body = Avatar(bundle, tier=None)
+    motion, _, cameras = staged(body, motion, arguments)
+    uv = uv_for_size(body.surface, size_on_screen(body, motion, cameras))
+    return uv if uv < WORTH * body.surface.resolution else None
+
+
+def staged(
+    avatar: Avatar, motion: Motion, arguments: argparse.Namespace
+) -> tuple[Motion, tuple[str, ...], list[Camera]]:
+    """The motion fitted to the avatar, on the floor if asked, what of it the body lacks, and one camera a frame."""
+    motion, ignored = avatar.fit(motion)
+    if arguments.ground:
+        from ..grounding import grounded
+
+        motion, _ = grounded(avatar, motion)
+    return motion, ignored, choose_cameras(arguments, avatar, motion)
+
+
 def _why_not_seen_only(avatar: Avatar, reuse: int) -> str:
+    from ..tiers import player_tiers
+
     if reuse > 1:
         return "decodes that are reused are of all Gaussians: leave --reuse out"
-    if avatar.tier in ("full", "int8") and avatar.dynamic:
+    if player_tiers()[avatar.tier].factory.picks and avatar.dynamic:
         return f"{avatar.bundle.path} was written before that was possible: export it again"
     return f"tier {avatar.tier} has nothing to leave out: it is for --tier full and int8 of an avatar with dynamics"
 

@@ -7,6 +7,7 @@ registry is what `gavatar-play --tier` takes.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Protocol
 
 import numpy as np
@@ -69,12 +70,14 @@ class Parts:
 
 class Tier(Protocol):
     """members: of the bundle, that it reads beside the surface. moves: whether the result depends on the pose; if not,
-    it is decoded once. picks: whether it can decode some Gaussians only: then it is also called as
-    `tier(pose, rows)` with their numbers (M,) int32, and gives M. stage_seconds: what the last call spent on `encode`
-    and `decode`."""
+    it is decoded once. networks: whether it runs networks over Gaussians in each frame, so that fewer of these or fewer
+    decodes pay. picks: whether it can decode some Gaussians only: then it is also called as `tier(pose, rows)` with
+    their numbers (M,) int32, and gives M; of the class, whether a bundle can let it. stage_seconds: what the last call
+    spent on `encode` and `decode`."""
 
     members: tuple[str, ...]
     moves: bool
+    networks: bool
     picks: bool
     stage_seconds: dict[str, float]
 
@@ -94,6 +97,14 @@ def player_tiers() -> Registry[Tier]:
     for module in pkgutil.iter_modules(__path__):
         importlib.import_module(f"{__name__}.{module.name}")
     return PLAYER_TIERS
+
+
+def members_read(bundle: Bundle, tiers: Iterable[str]) -> set[str]:
+    """Members of a bundle that playing it by these tiers reads: all but those that belong to others it stores."""
+    readers = player_tiers()
+    of_tier = {name: set(readers[name].factory.members) for name in {*stored_tiers(bundle), *tiers}}
+    read = set().union(*(of_tier[name] for name in tiers))
+    return (set(bundle.manifest.members) - set().union(*of_tier.values())) | (read & set(bundle.manifest.members))
 
 
 def stored_tiers(bundle: Bundle) -> list[str]:

@@ -24,7 +24,7 @@ class Baked:
     """Decoded once; only skinning is left to each frame."""
 
     members = (MEMBER,)
-    moves, picks = False, False
+    moves, networks, picks = False, False, False
 
     def __init__(self, options: NoOptions, *, parts: Parts):
         self._attributes = baked_attributes(parts)

@@ -35,7 +35,7 @@ class Blendshape:
     """
 
     members = (MEMBER, BAKED)
-    moves, picks = True, False
+    moves, networks, picks = True, False, False
 
     def __init__(self, options: NoOptions, *, parts: Parts):
         arrays = parts.arrays(MEMBER, ARRAYS)

@@ -24,17 +24,18 @@ class Coarse:
     taken from; ratio, of fine to coarse spacing, by which residuals of the scale shrink."""
 
     members = ("encoder.onnx", DECODER, MEMBER, BAKED)
-    moves, picks = True, False
+    moves, networks, picks = True, True, False
 
     def __init__(self, options: NoOptions, *, parts: Parts):
         arrays = parts.arrays(MEMBER, ("index", "weight", "base", "ratio"))
         self._encoder = Encoder(parts, "encoder.onnx")
-        self._decoder = Network(parts.bundle, DECODER, ("pose_features",), OUTPUTS, parts.threads)
+        self._decoder = Network(parts.bundle, DECODER, ("pose_features",), OUTPUTS, parts.threads, by_rows=True)
         self._static = packed(*baked_attributes(parts))
         self._index = np.ascontiguousarray(parts.take(arrays["index"]), np.int32)
         self._weight = np.ascontiguousarray(parts.take(arrays["weight"]), np.float32)
         self._base = arrays["base"].astype(np.float32)
         self._ratio = float(arrays["ratio"])
+        self._rows = np.arange(len(self._base), dtype=np.int32) if self._decoder.picks else None
         self._decoded: list[np.ndarray] | None = None
         self._table = np.zeros((len(self._base), 8), np.float32)
         self._out = [empty(len(parts)) for _ in range(3)]
@@ -46,9 +47,9 @@ class Coarse:
         features = self._encoder(pose)
         encoded = perf_counter()
         if self._decoded is None:
-            self._decoded = self._decoder(features)
+            self._decoded = self._decoder(features, rows=self._rows)
         else:
-            self._decoder(features, out=self._decoded)
+            self._decoder(features, rows=self._rows, out=self._decoded)
         self._table[:, :3], self._table[:, 3:6], self._table[:, 6] = self._decoded
         self._table[:, :7] -= self._base
         self._table[:, 6] *= self._ratio  # coarse points stand further apart than fine ones

@@ -43,6 +43,7 @@ class Full:
     """Encoder, then decoder on every Gaussian, or on the rows asked for."""
 
     encoder, decoder = members = "encoder.onnx", "decoder.onnx"
+    networks, picks = True, True
 
     def __init__(self, options: NoOptions, *, parts: Parts):
         self._parts = parts
@@ -50,9 +51,12 @@ class Full:
         self.stage_seconds: dict[str, float] = {}
         self._encoder = Encoder(parts, self.encoder) if self.moves else None
         inputs = ("pose_features",) if self.moves else ()
-        self._decoder = Network(parts.bundle, self.decoder, inputs, OUTPUTS, parts.threads)
+        self._decoder = Network(parts.bundle, self.decoder, inputs, OUTPUTS, parts.threads, by_rows=self.moves)
         self.picks = self._decoder.picks
-        self._chosen = None if parts.chosen is None else parts.chosen.astype(np.int32)
+        chosen = parts.chosen
+        if chosen is None and self.picks:
+            chosen = np.arange(len(parts.surface))  # named all the same, so that threads can share them
+        self._chosen = None if chosen is None else chosen.astype(np.int32)
         self._points = parts.take(parts.surface.points)
         self._out = [empty(len(parts)) for _ in range(3)]
         # bundles written before `rows` decode all that they hold, and then some are taken
@@ -70,8 +74,7 @@ class Full:
             out = tuple(array[: len(rows)] for array in out)
         points, colors, scales = out
         if self.picks:
-            wanted = rows if self._chosen is None or rows is None else self._chosen[rows]
-            wanted = self._chosen if wanted is None else wanted
+            wanted = self._chosen if rows is None else self._chosen[rows]
             offsets = self._decoded[0][: len(scales)]
             self._run(features, wanted, (offsets, colors, scales))
         else:
