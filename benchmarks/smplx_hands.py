@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from smplx_capture import camera, hand_motion, write_smplx_capture, write_smplx_model
 
 from gavatar.config import compose_config
+from gavatar.evaluation import motion_errors, part_errors
 from gavatar.export import export
 from gavatar.training.run import open_run, train
 from gavatar_runtime.avatar import Avatar
@@ -45,14 +46,9 @@ def noisy(capture: Path, sigma: float = 0.12) -> None:
 def errors(run, motion) -> tuple[float, float]:
     """Mean distance to the true joints in millimetres: of the 22 body joints, root at its place, and of the finger
     joints from their own wrist, so that each hand is judged alone."""
-    data, truth = run.built.body.data, run.capture.truth
-    body, hands = [], []
-    for t in range(len(truth)):
-        got, expected = (data.posed(m.poses[t], run.built.betas)[1] for m in (motion, truth))
-        body.append(np.linalg.norm(got[:22] - expected[:22], axis=1))
-        for wrist, at in ((20, slice(25, 40)), (21, slice(40, 55))):
-            hands.append(np.linalg.norm(got[at] - got[wrist] - expected[at] + expected[wrist], axis=1))
-    return 1000 * float(np.mean(body)), 1000 * float(np.mean(hands))
+    truth, frames = run.capture.truth, range(len(run.capture.truth))
+    body, _ = motion_errors(run.built, motion, truth, frames)
+    return body, part_errors(run.built, motion, truth, frames).mpjpe_hands_mm
 
 
 def draw(path: Path, bundle: Path, data) -> None:

@@ -14,10 +14,11 @@ from torch import Tensor, nn
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.expression import Expression
 from gavatar_runtime.gaussians import Gaussians
+from gavatar_runtime.pose_blendshapes import canonical_rotations
 from gavatar_runtime.surface import Surface
 
 from .attributes import Attributes
-from .blendshapes import canonical_rotations, expression_of, pose_blendshapes_of, shape_of
+from .blendshapes import expression_of, pose_blendshapes_of, shape_of
 from .body import Skeleton
 from .sampling import Sampler
 from .skinning import can_skin_sparse, skin, skin_rotations, skin_sparse, skinning_weights

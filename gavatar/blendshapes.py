@@ -7,7 +7,7 @@ import numpy as np
 from gavatar_runtime.body import BodyData
 from gavatar_runtime.expression import Expression
 from gavatar_runtime.kinematics import moved_rest
-from gavatar_runtime.pose_blendshapes import PoseBlendshapes
+from gavatar_runtime.pose_blendshapes import PoseBlendshapes, canonical_rotations
 from gavatar_runtime.surface import Surface
 
 from .surface import interpolate
@@ -18,12 +18,6 @@ def at_points(body: BodyData, surface: Surface, directions: np.ndarray) -> np.nd
     flat = directions.reshape(len(directions), -1)[body.faces]
     values = interpolate(flat, surface.face, surface.barycentric.astype(directions.dtype))
     return values.reshape(-1, *directions.shape[1:])
-
-
-def canonical_rotations(surface: Surface) -> np.ndarray:
-    """(N, 3, 3) the linear part of what takes each point from the rest pose to the canonical one."""
-    R = surface.A_canonical[:, :3, :3]
-    return np.einsum("nk,nkab->nab", surface.joint_weight, R[surface.joint_index], optimize=True)
 
 
 def pose_blendshapes_of(body: BodyData, surface: Surface) -> PoseBlendshapes:

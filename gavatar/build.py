@@ -21,7 +21,7 @@ from .avatar import Avatar, AvatarConfig
 from .body import Body, Skeleton
 from .capture import Capture
 from .registry import BODIES, CAPTURES, DECODERS, ENCODERS, RASTERIZERS
-from .surface import sample_surface
+from .surface import check_resolution, sample_surface
 
 
 def split_node(node: dict[str, Any]) -> tuple[str, dict[str, Any]]:
@@ -61,9 +61,12 @@ def choose_device(name: str) -> torch.device:
     return device
 
 
-def build_rasterizer(node: dict[str, Any]):
-    """The rasterizer of a composed node."""
-    return RASTERIZERS.build(*split_node(node))
+def build_rasterizer(node: dict[str, Any], avatar: Avatar | None = None):
+    """The rasterizer of a composed node. avatar: what it is to draw, which then gives normals if it wants some."""
+    rasterizer = RASTERIZERS.build(*split_node(node))
+    if avatar is not None:
+        avatar.with_normals = getattr(rasterizer, "wants_normals", False)
+    return rasterizer
 
 
 def resolve_body(node: dict[str, Any], capture: Capture) -> dict[str, Any]:
@@ -143,5 +146,7 @@ def build_avatar(
         torch.manual_seed(seed)
         decoder = DECODERS.build(*split_node(decoder_node), in_channels=avatar.features)
         encoder = ENCODERS.build(*split_node(encoder_node), channels=avatar.features, map_size=None)
+        if encoder is not None:
+            check_resolution(encoder.map_size, "encoder.map_size")
         skeleton = Skeleton(body.data, betas)
         return AvatarBuild(body, betas, Avatar(avatar, skeleton, encoder, decoder))

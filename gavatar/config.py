@@ -18,6 +18,7 @@ from .avatar import AvatarConfig
 from .losses import loss_config
 from .precision import check_precision
 from .registry import BODIES, DECODERS, ENCODERS, RASTERIZERS, fill_config_store, load_plugins
+from .surface import check_resolution
 from .training.verdict import check_dynamics
 
 
@@ -182,5 +183,6 @@ def _check_stage(name: str, stage: StageConfig) -> None:
     if ends != sorted(ends) or ends[-1] != 1.0 or ends[0] <= 0:
         raise UserError(f"{name}.levels: 'until' must rise to 1.0, not {ends}")
     for level in stage.levels:
-        if level.uv < 1 or not 0 < level.image <= 4:
-            raise UserError(f"{name}.levels: uv must be positive and image within (0, 4], not {level}")
+        check_resolution(level.uv, f"{name}.levels: uv")
+        if not 0 < level.image <= 4:
+            raise UserError(f"{name}.levels: image must be within (0, 4], not {level.image}")

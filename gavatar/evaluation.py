@@ -17,6 +17,7 @@ from gavatar_runtime.gaussians import Gaussians
 from gavatar_runtime.motion import Motion
 from gavatar_runtime.skeletons import FINGERS
 
+from .attributes import Attributes
 from .avatar import Avatar
 from .build import AvatarBuild, build_rasterizer
 from .capture import Capture, View
@@ -118,11 +119,12 @@ def pose_features(avatar: Avatar, built: AvatarBuild, poses: np.ndarray) -> Tens
 
 
 @torch.no_grad()
-def posed(run: Run, motion: Motion, frame: int) -> Gaussians:
-    """The trained avatar's Gaussians in the pose of one frame of `motion`, torch tensors."""
+def posed(run: Run, motion: Motion, frame: int, static: Attributes | None = None) -> Gaussians:
+    """The trained avatar's Gaussians in the pose of one frame of `motion`, torch tensors. static: the attributes of an
+    avatar without encoder, where they were decoded before."""
     one = motion.taken([frame])
     poses = check_motion_fits(one.poses, run.built.body.data.num_joints)
-    attributes = run.avatar.attributes(pose_features(run.avatar, run.built, poses))
+    attributes = static or run.avatar.attributes(pose_features(run.avatar, run.built, poses))
     table = MotionTable(one, poses.shape[1]).to(run.avatar.features.device)
     return run.avatar.pose(attributes, *table(), table.expression())[0]
 
@@ -143,8 +145,7 @@ class Evaluator:
     ):
         self.run, self.perceptual, self.progress, self.device = run, perceptual, progress, torch.device(device)
         run.avatar.to(self.device)
-        self.rasterize = build_rasterizer(run.config.rasterizer)
-        run.avatar.with_normals = getattr(self.rasterize, "wants_normals", False)
+        self.rasterize = build_rasterizer(run.config.rasterizer, run.avatar)
         self._static = None
         if run.avatar.encoder is None:
             with torch.no_grad():
@@ -156,14 +157,9 @@ class Evaluator:
         return self._render(view, motion).cpu().numpy()
 
     def _render(self, view: View, motion: Motion) -> Tensor:
-        run = self.run
-        one = motion.taken([view.frame])
-        poses = check_motion_fits(one.poses, run.built.body.data.num_joints)
-        attributes = self._static or run.avatar.attributes(pose_features(run.avatar, run.built, poses))
-        table = MotionTable(one, poses.shape[1]).to(self.device)
-        (gaussians,) = run.avatar.pose(attributes, *table(), table.expression())
-        camera = run.capture.camera(view)
-        return self.rasterize(as_trained(gaussians, camera, run.pixel), camera, WHITE).color
+        camera = self.run.capture.camera(view)
+        gaussians = posed(self.run, motion, view.frame, self._static)
+        return self.rasterize(as_trained(gaussians, camera, self.run.pixel), camera, WHITE).color
 
     @torch.no_grad()
     def score(self, split: str, poses: str, views: Sequence[View], motion: Motion) -> SplitScore:

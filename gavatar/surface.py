@@ -19,10 +19,12 @@ from gavatar_runtime.errors import UserError, did_you_mean
 from gavatar_runtime.surface import Surface, load_surface, positional_map, save_surface
 
 __all__ = [
-    "MAX_RESOLUTION", "MIN_RESOLUTION", "ORDERS", "Surface", "default_cache_dir", "load_surface", "positional_map",
-    "sample_surface", "save_surface",
+    "MAX_RESOLUTION", "MIN_RESOLUTION", "ORDERS", "Surface", "check_resolution", "default_cache_dir", "load_surface",
+    "positional_map", "sample_surface", "save_surface",
 ]  # fmt: skip
 
+# At 64 the free body has 2,850 points, 26 mm apart; at 32 it had 777, 54 mm apart, and fingers without any. At 1024 it
+# has 646,000.
 MIN_RESOLUTION, MAX_RESOLUTION = 64, 1024
 MAX_WEIGHTS = 8
 ORDERS = ("morton", "row")
@@ -47,11 +49,7 @@ def sample_surface(
     Raises UserError for a resolution out of range, an unknown order, betas that are not finite, and an atlas that
     covers no texel.
     """
-    if not isinstance(resolution, numbers.Integral) or not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
-        raise UserError(
-            f"surface resolution {resolution!r} is not possible: choose a whole number from "
-            f"{MIN_RESOLUTION} to {MAX_RESOLUTION}"
-        )
+    check_resolution(resolution, "surface resolution")
     if order not in ORDERS:
         raise UserError(f"surface order '{order}' is unknown: {did_you_mean(str(order), ORDERS)}")
     if betas is not None and not np.all(np.isfinite(betas)):
@@ -64,6 +62,15 @@ def sample_surface(
     with contextlib.suppress(UserError, OSError):
         save_surface(path, surface)
     return surface
+
+
+def check_resolution(value, field: str) -> None:
+    """UserError naming `field` unless `value` is a side of the atlas that surfaces are sampled at."""
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not whole or not MIN_RESOLUTION <= value <= MAX_RESOLUTION:
+        raise UserError(
+            f"{field} {value!r} is not possible: choose a whole number from {MIN_RESOLUTION} to {MAX_RESOLUTION}"
+        )
 
 
 def default_cache_dir() -> Path:

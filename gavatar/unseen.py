@@ -30,9 +30,7 @@ WHITE = (1.0, 1.0, 1.0)
 def _rasterizer(run: Run):
     """That of training, with the normals it asks for; on the CPU, where an opened run is, also after one on a GPU."""
     node = run.config.rasterizer
-    rasterize = build_rasterizer({"name": "auto"} if node["name"] == "gsplat" else node)
-    run.avatar.with_normals = getattr(rasterize, "wants_normals", False)
-    return rasterize
+    return build_rasterizer({"name": "auto"} if node["name"] == "gsplat" else node, run.avatar)
 
 
 def seen(run: Run, margin: float = MARGIN, progress: bool = False) -> np.ndarray:

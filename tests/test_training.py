@@ -241,7 +241,9 @@ def test_training_on_one_frame_works(tmp_path):
     [
         ("background=blue", "background must be"),
         ("stage1.levels=[{until:0.5,uv:64,image:1.0}]", "rise to 1.0"),
-        ("stage1.levels=[{until:1.0,uv:64,image:0}]", "image within"),
+        ("stage1.levels=[{until:1.0,uv:64,image:0}]", "image must be within"),
+        ("stage2.levels=[{until:1.0,uv:32,image:1.0}]", r"stage2\.levels: uv 32 is not possible: .*from 64 to 1024"),
+        ("stage1.levels=[{until:1.0,uv:2048,image:1.0}]", r"stage1\.levels: uv 2048 is not possible"),
         ("stage1.batch=0", "batch at least 1"),
         ("motion.start=0.9", "start <= end"),
         ("losses.l1=-1", "l1"),

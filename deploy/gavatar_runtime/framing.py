@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from .avatar import Avatar
 from .camera import Camera, look_at
-from .kinematics import skin
 from .motion import Motion
 from .rasterizers.rules import NEAR
 from .rotations import matrix_from_axis_angle
+from .skinning import skin
 from .spacing import evenly_spaced
 
 FOCAL = 50 / 36  # of the longer image side: a 50 mm lens on 36 mm film, which keeps a person's proportions
@@ -70,13 +70,20 @@ def fitted_to(camera: Camera, width: int, height: int) -> Camera:
 
 def body_points(avatar: Avatar, motion: Motion) -> np.ndarray:
     """(S, 3) a sample of the body's surface over the whole motion, world, metres."""
+    return np.concatenate(list(posed_samples(avatar, motion, _sampled_frames(motion), SAMPLED_POINTS)))
+
+
+def posed_samples(avatar: Avatar, motion: Motion, frames: Iterable[int], count: int) -> Iterator[np.ndarray]:
+    """(S, 3) float32 metres, world, for each of `frames`: every so many points of the body's surface, that `count` of
+    them are asked for and S is up to twice as many."""
     surface = avatar.surface
-    frames = _sampled_frames(motion)
-    step = max(1, len(surface) // SAMPLED_POINTS)
-    points = surface.points[::step].astype(np.float64)
-    index, weight = surface.joint_index[::step], surface.joint_weight[::step]
-    A = surface.skin_transforms(motion.poses[frames].astype(np.float64))
-    return np.concatenate([skin(points, index, weight, A[i]) + motion.trans[f] for i, f in enumerate(frames)])
+    step = max(1, len(surface) // count)
+    points, index, weight = (
+        np.ascontiguousarray(a[::step]) for a in (surface.points, surface.joint_index, surface.joint_weight)
+    )
+    for frame in frames:
+        A = surface.skin_transforms(motion.poses[frame].astype(np.float32))
+        yield skin(points, index, weight, A) + motion.trans[frame]
 
 
 def facing(motion: Motion) -> float:

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 
 from .avatar import Avatar
+from .framing import posed_samples
 from .motion import Motion
-from .skinning import skin
 
 POINTS = 5000  # of the surface that are asked for their height: two centimetres apart on a person
 STANDING = 0.05  # share of the frames whose lowest point may lie below the floor: a foot that slips into it
@@ -16,17 +16,7 @@ STANDING = 0.05  # share of the frames whose lowest point may lie below the floo
 
 def lowest_points(avatar: Avatar, motion: Motion) -> np.ndarray:
     """(T,) metres, the height of the body's lowest point at each frame. motion: fitted to the avatar."""
-    surface = avatar.surface
-    step = max(1, len(surface) // POINTS)
-    points, index, weight = (
-        np.ascontiguousarray(a[::step]) for a in (surface.points, surface.joint_index, surface.joint_weight)
-    )
-    heights = np.empty(len(motion))
-    for t, (pose, trans) in enumerate(zip(motion.poses, motion.trans, strict=True)):
-        heights[t] = (
-            skin(points, index, weight, surface.skin_transforms(pose.astype(np.float32)))[:, 1].min() + trans[1]
-        )
-    return heights
+    return np.array([float(p[:, 1].min()) for p in posed_samples(avatar, motion, range(len(motion)), POINTS)])
 
 
 def grounded(avatar: Avatar, motion: Motion) -> tuple[Motion, float]:

@@ -17,6 +17,12 @@ MEMBER = "pose_blendshapes.npz"
 STILL = 1e-6  # entries of a joint's rotation that differ by less from the canonical pose's move nothing
 
 
+def canonical_rotations(surface: Surface, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
+    """(M, 3, 3) float64 the linear part of what takes the points `rows` from the rest pose to the canonical one."""
+    R = surface.A_canonical[:, :3, :3]
+    return np.einsum("nk,nkab->nab", surface.joint_weight[rows], R[surface.joint_index[rows]], optimize=True)
+
+
 @dataclasses.dataclass(frozen=True)
 class Turns:
     """How the canonical pose turns a surface's points from the rest pose: rotations (M, 3, 3) float32 of the points
@@ -30,9 +36,7 @@ class Turns:
         """Of all points of a surface; blended, so not rigid where two joints hold a point."""
         turned = np.abs(surface.A_canonical[:, :3, :3] - np.eye(3)).max((1, 2)) > 0
         rows = np.flatnonzero((turned[surface.joint_index] & (surface.joint_weight > 0)).any(1))
-        R = surface.A_canonical[surface.joint_index[rows]][..., :3, :3]
-        rotations = np.einsum("nk,nkab->nab", surface.joint_weight[rows], R)
-        return cls(rows, np.ascontiguousarray(rotations, np.float32))
+        return cls(rows, np.ascontiguousarray(canonical_rotations(surface, rows), np.float32))
 
 
 @dataclasses.dataclass(frozen=True)

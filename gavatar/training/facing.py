@@ -18,8 +18,10 @@ def facing_texels(surface: Surface, motion: Motion, frames: list[int], cameras: 
 
     The camera is taken to be far: one direction serves the whole body. Texels behind a limb count as seen."""
     out = np.zeros((len(frames), surface.resolution, surface.resolution), bool)
-    for row, (frame, camera) in enumerate(zip(frames, cameras, strict=True)):
-        direction = camera.position - (motion.trans[frame] + surface.joints[surface.root])
-        direction /= max(np.linalg.norm(direction), 1e-9)
-        out[row] = normal_map(surface, motion.poses[frame]) @ direction > FACING
+    for frame in sorted(set(frames)):
+        normals = normal_map(surface, motion.poses[frame])
+        for row in np.flatnonzero(np.equal(frames, frame)):
+            direction = cameras[row].position - (motion.trans[frame] + surface.joints[surface.root])
+            direction /= max(np.linalg.norm(direction), 1e-9)
+            out[row] = normals @ direction > FACING
     return torch.from_numpy(out)

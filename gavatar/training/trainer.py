@@ -56,14 +56,13 @@ class Trainer:
         self.capture = open_capture(config.capture, config.capture_format)
         self.capture.check()
         self.views: list[View] = self.capture.views(config.train_split)
-        self.rasterize = build_rasterizer(config.rasterizer)
         self.losses = LossComposer(config.losses)
         self.built: AvatarBuild = build_avatar(
             config.body, config.encoder, config.decoder, config.avatar, self.capture, config.seed
         )
         self.capture = capture_on_body(self.capture, self.built.body.data)
         self.avatar = self.built.avatar.to(self.device)
-        self.avatar.with_normals = getattr(self.rasterize, "wants_normals", False)
+        self.rasterize = build_rasterizer(config.rasterizer, self.avatar)
         self.avatar.mixed_precision = mixed(config.precision, self.avatar.decoder, self.device)
         self.motion = MotionTable(
             self.capture.motion, self.built.body.data.num_joints, config.motion.joints

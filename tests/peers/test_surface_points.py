@@ -11,14 +11,14 @@ from official_bodies import dressed_free_body, write_npz
 
 from gavatar.attributes import Attributes
 from gavatar.avatar import Avatar, AvatarConfig
-from gavatar.blendshapes import at_points, canonical_rotations, expression_of, pose_blendshapes_of
+from gavatar.blendshapes import at_points, expression_of, pose_blendshapes_of
 from gavatar.body import Skeleton
 from gavatar.body_files import FAMILIES, read_body
 from gavatar.rotations import matrix_from_axis_angle
 from gavatar.skinning import dense_weights
 from gavatar.surface import sample_surface
 from gavatar_runtime.expression import Expression
-from gavatar_runtime.pose_blendshapes import PoseBlendshapes, Turns
+from gavatar_runtime.pose_blendshapes import PoseBlendshapes, Turns, canonical_rotations
 from gavatar_runtime.skinning import skin
 
 lbs = pytest.importorskip("smplx.lbs").lbs
