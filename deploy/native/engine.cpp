@@ -231,7 +231,7 @@ struct GvFrame {
   Buffer<uint64_t> kept_blocks;
   Buffer<float> kept_depth;
   std::vector<Kept> kept;
-  std::vector<uint32_t> counts, order;  // entries of each tile; tiles with most entries first
+  std::vector<uint32_t> counts, order;  // entries of each tile; those that have any, with most entries first
   bool has_opacity = false;
 
   int64_t bytes() const {
@@ -279,7 +279,7 @@ void forward(Engine& e, GvFrame& frame, const GvGaussians& gaussians, const GvCa
     report.dropped += w->bins.bins.dropped;
   }
   frame.counts.assign(tiles, 0);
-  frame.order.resize(tiles);
+  frame.order.clear();
   frame.kept.assign(options.keep ? tiles : 0, Kept{});
   size_t entries = 0;
   std::vector<size_t> offset(options.keep ? tiles : 0);
@@ -288,7 +288,7 @@ void forward(Engine& e, GvFrame& frame, const GvGaussians& gaussians, const GvCa
     for (Bins* b : bins)
       if (const EntryBlock* block = block_of(b->cursors[t])) n += (uint32_t)(block->before + (b->cursors[t] - block->entry));
     frame.counts[t] = n;
-    frame.order[t] = (uint32_t)t;
+    if (n) frame.order.push_back((uint32_t)t);
     if (options.keep) offset[t] = entries;
     entries += n;
   }
@@ -337,7 +337,21 @@ void forward(Engine& e, GvFrame& frame, const GvGaussians& gaussians, const GvCa
       failed = true;
     }
   };
-  pool.for_each((uint32_t)tiles, tile);
+  // What no Gaussian reaches, by rows of tiles: last and short, it also fills up the time of who is done first.
+  auto background = [&](uint32_t row, int thread) {
+    const uint32_t* counts = frame.counts.data() + (size_t)row * p.tiles_x;
+    double begun = clock_seconds();
+    for (int32_t x = 0, end; x < p.tiles_x; x = end + 1) {
+      for (end = x; end < p.tiles_x && !counts[end];) end++;
+      if (end > x)
+        kernels.background(&p, &options, &images, x * TILE, std::min(end * TILE, p.width), (int32_t)row * TILE,
+                           std::min((int32_t)(row + 1) * TILE, p.height));
+    }
+    e.workers[thread]->blend_s += clock_seconds() - begun;
+  };
+  const uint32_t filled = (uint32_t)frame.order.size();
+  auto task = [&](uint32_t i, int thread) { i < filled ? tile(i, thread) : background(i - filled, thread); };
+  pool.for_each(filled + (uint32_t)p.tiles_y, task);
   if (failed) throw std::bad_alloc();
   report.blended = blended;
   double sort_s = 0, blend_s = 0;
@@ -394,7 +408,7 @@ void backward(Engine& e, GvFrame& frame, const GvGaussians& gaussians, const GvC
       failed = true;
     }
   };
-  pool.for_each((uint32_t)tiles, tile);
+  pool.for_each((uint32_t)frame.order.size(), tile);
   if (failed) throw std::bad_alloc();
   double blended = clock_seconds();
 

@@ -125,7 +125,9 @@ struct BackwardTileJob {
 struct Kernels {
   size_t forward_scratch_bytes, backward_scratch_bytes;
   void (*project)(const Projection*, Bins*, int64_t begin, int64_t end);
-  void (*forward_tile)(TileJob*);
+  void (*forward_tile)(TileJob*);  // of a tile that has entries
+  // The background on columns [x0, x1) and rows [y0, y1).
+  void (*background)(const Projection*, const GvOptions*, const GvImages*, int32_t x0, int32_t x1, int32_t y0, int32_t y1);
   void (*backward_tile)(BackwardTileJob*);
   // Gradients of Gaussians [begin, end) from their sums, which are cleared.
   void (*backward_project)(const Projection*, Sums*, MoreSums*, const GvGradients*, int64_t begin, int64_t end);

@@ -19,7 +19,8 @@ extern const Kernels GV_JOIN(kernels_, GV_NAMESPACE);
 const Kernels GV_JOIN(kernels_, GV_NAMESPACE) = {
     sizeof(GV_NAMESPACE::ForwardScratch), sizeof(GV_NAMESPACE::BackwardScratch),
     GV_NAMESPACE::project,                GV_NAMESPACE::forward_tile,
-    GV_NAMESPACE::backward_tile,          GV_NAMESPACE::backward_project,
+    GV_NAMESPACE::write_background,       GV_NAMESPACE::backward_tile,
+    GV_NAMESPACE::backward_project,
     GV_NAMESPACE::skin,                   GV_NAMESPACE::skin_backward,
     GV_NAMESPACE::blendshapes,            GV_NAMESPACE::upsample,
     GV_NAMESPACE::ssim_scratch_floats,    GV_NAMESPACE::ssim_plane,
