@@ -12,7 +12,6 @@ import torch
 from torch import Tensor, nn
 
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.expression import Expression
 from gavatar_runtime.gaussians import Gaussians
 from gavatar_runtime.pose_blendshapes import canonical_rotations
 from gavatar_runtime.surface import Surface
@@ -59,7 +58,7 @@ class Avatar(nn.Module):
             self.smooth = nn.Sequential(*convs)
         self.surface: Surface | None = None
         self.mixed_precision = False  # decode in bfloat16 while training
-        self._expressions: dict[int, tuple[Surface, Expression | None]] = {}  # by the surface's id
+        self._expressions: tuple[Surface, Tensor, Tensor, Tensor] | None = None  # of the surface: what they do to it
         self._shapes: tuple[Surface, Tensor, Tensor] | None = None  # of the surface: what betas do to it
 
     def sample_at(self, surface: Surface) -> None:
@@ -177,22 +176,19 @@ class Avatar(nn.Module):
 
     def _expressed(self, coefficients: Tensor) -> tuple[Tensor, Tensor]:
         """What an expression (B, E) adds to the canonical points, (B, N, 3), and to the rest joints, (B, J, 3)."""
-        _, expression = self._expressions.get(id(self.surface), (None, None))
-        if expression is None:
-            expression = expression_of(self.skeleton.data, self.surface)
-            self._expressions[id(self.surface)] = (self.surface, expression)  # which keeps its id its own
-        count = 0 if expression is None else expression.count
-        if coefficients.shape[1] > count:
-            raise UserError(f"the body has {count} expression coefficients, not {coefficients.shape[1]}")
-        used = coefficients.shape[1]
-        directions, joints = (
-            torch.as_tensor(array[..., :used], dtype=coefficients.dtype, device=coefficients.device)
-            for array in (expression.directions, expression.joints)
-        )
+        used, count = coefficients.shape[1], self.skeleton.data.num_expression
+        if used > count:
+            raise UserError(f"the body has {count} expression coefficients, not {used}")
         moved = coefficients.new_zeros(len(coefficients), len(self.surface), 3)
-        rows = torch.as_tensor(expression.rows, dtype=torch.int64, device=coefficients.device)
-        moved[:, rows] = torch.einsum("be,nce->bnc", coefficients, directions)
-        return moved, torch.einsum("be,jce->bjc", coefficients, joints)
+        if used == 0:
+            return moved, coefficients.new_zeros(len(coefficients), len(self.skeleton.parents), 3)
+        if self._expressions is None or self._expressions[0] is not self.surface:
+            known = expression_of(self.skeleton.data, self.surface)
+            tensors = (torch.as_tensor(a).to(coefficients.device) for a in (known.rows, known.directions, known.joints))
+            self._expressions = (self.surface, *tensors)
+        _, rows, directions, joints = self._expressions
+        moved[:, rows] = torch.einsum("be,nce->bnc", coefficients, directions[..., :used].to(coefficients.dtype))
+        return moved, torch.einsum("be,jce->bjc", coefficients, joints[..., :used].to(coefficients.dtype))
 
     def _shaped(self, change: Tensor) -> tuple[Tensor, Tensor]:
         """What a change of the first betas, (n,), adds to the canonical points, (N, 3), and the rest joints, (J, 3).

@@ -220,6 +220,8 @@ def test_impossible_expressions_are_refused(bundle, run, tmp_path):
         avatar.fit(motion)
     with pytest.raises(UserError, match="10 expression coefficients, not 11"):
         run.avatar._expressed(torch.ones(1, 11))
+    for moved in run.avatar._expressed(torch.ones(2, 0)):
+        assert not moved.any()
 
 
 def test_a_motion_file_with_coefficients_moves_face_and_fingers(bundle, models, tmp_path):

@@ -230,6 +230,16 @@ def test_a_damaged_checkpoint_is_one_sentence(capture, trained, tmp_path):
         open_run(tmp_path)
 
 
+def test_poses_move_and_their_losses_are_asked_only_within_the_motion_window(capture, tmp_path):
+    options = ["stage2.steps=0", "stage1.steps=12", "motion.guard=false", "losses.motion_prior=1.0"]
+    for window, moves, asked in (((1.0, 1.0), False, (False, False)), ((0.5, 1.0), True, (False, True))):
+        start, end = window
+        trainer = run(capture, tmp_path / f"{start}", *options, f"motion.start={start}", f"motion.end={end}")
+        assert bool(trainer.motion.rotation_correction.any()) == moves
+        assert tuple("motion_prior" in trainer.history[i]["losses"] for i in (0, -1)) == asked
+    assert trainer.history[-1]["step"] == 11
+
+
 def test_training_on_one_frame_works(tmp_path):
     capture = write_tiny_capture(tmp_path / "one", frames=(20,), test=(), novel=())
     trainer = run(capture, tmp_path / "r")

@@ -364,8 +364,7 @@ class _Stage:
             self.shape_optimizer.zero_grad(set_to_none=True)
         total.backward()
         self.optimizer.step()
-        options = config.motion
-        if self.moves and (self.number == 2 or options.start <= progress <= options.end):
+        if self._moves_at(progress):
             self._step_motion(sorted(set(frames)), progress)
             if self.shape_optimizer is not None:
                 self.shape_optimizer.step()
@@ -411,16 +410,18 @@ class _Stage:
             offsets=attributes.offsets,
             scales=attributes.scales,
             progress=progress,
-            motion=self._motion_state(len(set(frames))),
+            motion=self._motion_state(len(set(frames))) if self._moves_at(progress) else None,
         )
 
-    def _motion_state(self, shown: int) -> MotionState | None:
+    def _moves_at(self, progress: float) -> bool:
+        options = self.trainer.config.motion
+        return self.moves and (self.number == 2 or options.start <= progress <= options.end)
+
+    def _motion_state(self, shown: int) -> MotionState:
         """The motion of every training frame for the losses, read from leaves of its own: what images say is shared
         between neighbours, what the motion's terms say must not be, for they tell frames from their neighbours. Only
         `shown` frames' images are in a step and share the image terms among themselves; the motion terms are weighed
         alike, or their weight would hang on the capture's length and, with it, on its frame rate."""
-        if not self.moves:
-            return None
         table, frames = self.trainer.motion, self.trainer.frames
         self.motion_leaves = {
             p: p.detach().requires_grad_() for p in (table.rotation_correction, table.trans_correction)
