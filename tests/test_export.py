@@ -25,6 +25,7 @@ from gavatar_runtime.avatar import Avatar as PlayedAvatar
 from gavatar_runtime.bundle import pack_surfaces, read_bundle
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.player import build_rasterizer
+from gavatar_runtime.tiers.blendshape import Coefficients
 
 VARIANTS = {
     "mlp and unet": [],
@@ -104,6 +105,15 @@ def test_cheaper_tiers_follow_an_encoder_that_sees_light(runs, tmp_path):
     assert np.abs(change["full"]).max() > 1e-3
     for tier in ("coarse", "blendshape"):
         assert np.corrcoef(change[tier], change["full"])[0, 1] > 0.8  # a tier blind to facing: 0
+    arrays = bundle.arrays("blendshape.npz")
+    for damage in (
+        {"turn": arrays["turn"][:, 1:]},
+        {"owners": arrays["owners"] + 30},
+        {"direct": arrays["turn"]},
+        {"seen": np.zeros((1, 9)), "near": arrays["turn"][:, 0] > 0, "fade": np.ones(2)},
+    ):
+        with pytest.raises(UserError, match="do not fit each other"):
+            Coefficients(arrays | damage, avatar.surface.parents, "blendshape.npz")
 
 
 def test_a_bundle_whose_map_lost_its_normals_is_one_sentence(runs, tmp_path, monkeypatch):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from time import perf_counter
 
 import numpy as np
 
+from ..body import SMPL_BODY_JOINTS
 from ..errors import UserError
 from ..registry import NoOptions
 from ..residuals import blendshapes, empty, packed
@@ -24,26 +26,27 @@ def pose_input(poses: np.ndarray, joints: np.ndarray) -> np.ndarray:
     return R.reshape(*R.shape[:-3], -1).astype(np.float32)
 
 
-@PLAYER_TIERS.register("blendshape", summary="pose residuals as linear bases by body part")
-class Blendshape:
-    """blendshape.npz: part (N,), basis (N, K / 4, 8, 4) int8 (`residuals.grouped`), gains (P, 8); the network's layers
-    weight_0, bias_0, weight_1, ... with ReLU between them, from `pose_input` of `joints` to the P x K coefficients; low
-    and high (P x K), between which coefficients are clamped, and input_low and input_high, between which its inputs
-    are: the range of training, so that no pose can leave what was seen. seen (F, 9 x joints), inputs of filmed poses,
-    near (P, joints), which joints bend each part, and fade, two distances: a part whose joints are farther from every
-    filmed pose than the first loses its residual, at the second all of it. (Bundles without these three do not fade.)
-    """
+def turn_input(poses: np.ndarray, owners: np.ndarray, parents: np.ndarray) -> np.ndarray:
+    """(..., P, 55) float32: the world rotation of the joint that owns each part, 9 entries, their 45 products, and 1:
+    what the light of a room on a turning surface is linear in, to second order.
 
-    members = (MEMBER, BAKED)
-    moves, networks, picks = True, False, False
+    poses: (..., J, 3) axis-angle. owners: (P,) joints below 22. parents: (J,)."""
+    world = matrix_from_axis_angle(np.asarray(poses, np.float32)[..., :SMPL_BODY_JOINTS, :])
+    for joint, parent in enumerate(parents[:SMPL_BODY_JOINTS]):
+        if parent >= 0:
+            world[..., joint, :, :] = world[..., parent, :, :] @ world[..., joint, :, :]
+    R = world[..., owners, :, :].reshape(*world.shape[:-3], len(owners), 9)
+    row, column = np.triu_indices(9)
+    return np.concatenate([R, R[..., row] * R[..., column], np.ones_like(R[..., :1])], -1).astype(np.float32)
 
-    def __init__(self, options: NoOptions, *, parts: Parts):
-        arrays = parts.arrays(MEMBER, ARRAYS)
-        self._base = packed(*baked_attributes(parts))
-        stored = len(arrays["part"])
-        self._part = np.ascontiguousarray(parts.take(arrays["part"]), np.uint8)
-        self._basis = np.ascontiguousarray(parts.take(arrays["basis"]), np.int8)
-        self._gains = arrays["gains"]
+
+class Coefficients:
+    """The weights of the bases in a pose, from the arrays of blendshape.npz (see `Blendshape`).
+
+    parents: (J,) of the body's joints. source: named in errors. Raises UserError for arrays that do not fit."""
+
+    def __init__(self, arrays: Mapping[str, np.ndarray], parents: np.ndarray, source: str):
+        self._parts, self._parents = len(arrays["gains"]), np.asarray(parents)
         self._low, self._high = arrays["low"], arrays["high"]
         self._input_range = arrays["input_low"], arrays["input_high"]
         self._joints = arrays["joints"].astype(int)
@@ -51,32 +54,36 @@ class Blendshape:
         try:
             self._layers = [(arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(count)]
         except KeyError as error:
-            raise UserError(f"{parts.bundle.path}: {MEMBER} lacks the array {error}; export the avatar again") from None
-        N, K = len(self._basis), 4 * self._basis.shape[1]
-        if len(self._part) != N or len(parts.surface) != stored or self._low.shape != (len(self._gains) * K,):
-            raise UserError(
-                f"{parts.bundle.path}: {MEMBER} does not fit {len(parts.surface)} Gaussians; export it again"
-            )
-        self._seen = self._near = None
+            raise UserError(f"{source} lacks the array {error}; export the avatar again") from None
+        self._turn = self._seen = None
+        fits = True
+        if "turn" in arrays:
+            self._turn, self._direct, self._owners = arrays["turn"], arrays.get("direct"), arrays.get("owners")
+            fits = self._direct is not None and self._owners is not None
+            fits = fits and self._direct.shape == (9 * len(self._joints), len(self._low))
+            fits = fits and self._turn.shape == (self._parts, 55, len(self._low) // self._parts)
+            fits = fits and len(self._owners) == self._parts and self._owners.max() < SMPL_BODY_JOINTS
+            self._owners = self._owners.astype(int) if fits else None
         if {"seen", "near", "fade"} <= set(arrays):
             self._seen, self._fade = arrays["seen"].astype(np.float32), arrays["fade"]
             near = arrays["near"].astype(np.float32)
             self._near = near / np.maximum(near.sum(1, keepdims=True), 1)
-            if self._seen.shape[1:] != (9 * near.shape[1],) or len(near) != len(self._gains):
-                raise UserError(f"{parts.bundle.path}: arrays of {MEMBER} do not fit each other; export it again")
-        self._out = [empty(N) for _ in range(3)]
-        self._calls = 0
-        self.stage_seconds: dict[str, float] = {}
+            fits = fits and self._seen.shape[1:] == (9 * near.shape[1],) and len(near) == self._parts
+        if not fits:
+            raise UserError(f"arrays of {source} do not fit each other; export it again")
 
-    def coefficients(self, pose: np.ndarray) -> np.ndarray:
-        """(P, K) weights of the bases in one pose."""
+    def __call__(self, pose: np.ndarray) -> np.ndarray:
+        """(P, K) for a pose (J, 3)."""
         given = pose_input(pose, self._joints)
-        x = np.clip(given, *self._input_range)
+        bounded = x = np.clip(given, *self._input_range)
         for i, (weight, bias) in enumerate(self._layers):
             x = x @ weight + bias
             if i < len(self._layers) - 1:
                 x = np.maximum(x, 0)
-        weights = np.clip(x, self._low, self._high).reshape(len(self._gains), -1)
+        if self._turn is not None:
+            turned = turn_input(pose, self._owners, self._parents)
+            x = x + bounded @ self._direct + np.einsum("pf,pfk->pk", turned, self._turn).ravel()
+        weights = np.clip(x, self._low, self._high).reshape(self._parts, -1)
         return weights if self._seen is None else weights * self.shares(given)[:, None]
 
     def shares(self, given: np.ndarray) -> np.ndarray:
@@ -87,6 +94,38 @@ class Blendshape:
         near, far = self._fade
         t = np.clip((far - distance) / (far - near), 0, 1)
         return t * t * (3 - 2 * t)
+
+
+@PLAYER_TIERS.register("blendshape", summary="pose residuals as linear bases by body part")
+class Blendshape:
+    """blendshape.npz: part (N,), basis (N, K / 4, 8, 4) int8 (`residuals.grouped`), gains (P, 8); the network's layers
+    weight_0, bias_0, weight_1, ... with ReLU between them, from `pose_input` of `joints` to the P x K coefficients; low
+    and high (P x K), between which coefficients are clamped, and input_low and input_high, between which its inputs
+    are: the range of training, so that no pose can leave what was seen. Of a look that depends on where surfaces face,
+    also direct (9 x joints, P x K), turn (P, 55, K) and owners (P,): what is linear in the network's inputs and in
+    `turn_input`, added to it. seen (F, 9 x joints), inputs of filmed poses, near (P, joints), which joints bend each
+    part, and fade, two distances: a part whose joints are farther from every filmed pose than the first loses its
+    residual, at the second all of it. (Without these three nothing fades.)
+    """
+
+    members = (MEMBER, BAKED)
+    moves, networks, picks = True, False, False
+
+    def __init__(self, options: NoOptions, *, parts: Parts):
+        arrays = parts.arrays(MEMBER, ARRAYS)
+        source = f"{parts.bundle.path}: {MEMBER}"
+        self._base = packed(*baked_attributes(parts))
+        stored = len(arrays["part"])
+        self._part = np.ascontiguousarray(parts.take(arrays["part"]), np.uint8)
+        self._basis = np.ascontiguousarray(parts.take(arrays["basis"]), np.int8)
+        self._gains = arrays["gains"]
+        N, K = len(self._basis), 4 * self._basis.shape[1]
+        if len(self._part) != N or len(parts.surface) != stored or arrays["low"].shape != (len(self._gains) * K,):
+            raise UserError(f"{source} does not fit {len(parts.surface)} Gaussians; export it again")
+        self.coefficients = Coefficients(arrays, parts.surface.parents, source)
+        self._out = [empty(N) for _ in range(3)]
+        self._calls = 0
+        self.stage_seconds: dict[str, float] = {}
 
     def __call__(self, pose: np.ndarray):
         start = perf_counter()
