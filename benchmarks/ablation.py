@@ -6,7 +6,9 @@ python benchmarks/ablation.py CAPTURE --presets paper,upstream,default --seeds 0
 Every run of one call has the same data, images, atlas and step counts; what differs is the preset, whether motion
 is optimised, and stage 2. `+opt, as long` (--control) trains stage 1 for the steps of both stages: what dynamics add
 beyond more training. Scores are of whole frames on white. Held-out frames are rendered with the true poses, and with
---fit apart with poses fitted to them, the avatar frozen. Runs are processes of their own, --jobs at a time.
+--fit apart with poses fitted to them, the avatar frozen. Runs are processes of their own, --jobs at a time. A run that
+--out holds already, of the same settings, is not made again: a long table is made in pieces (--minutes) by giving the
+same command until it says that all are done.
 """
 
 from __future__ import annotations
@@ -39,6 +41,7 @@ SPLITS_WITHOUT_TRUTH = ["train", "test", "novel_view"]
 KINDS = {"baseline": {1: "baseline"}, "avatar": {1: "+opt", 2: "+opt+dyn"}, "control": {1: "+opt, as long"}}
 VARIANTS = ["baseline", "+opt", "+opt, as long", "+opt+dyn"]
 SPLITS = ["test", "novel_pose", "novel_view"]
+ROWS = "rows.json"
 UPSTREAM_STEPS = 11000  # of its stage 1; its warm-up of the scales takes 1000 of them
 
 
@@ -78,7 +81,7 @@ def overrides(args: argparse.Namespace, preset: str, kind: str, seed: str) -> li
     # upstream leaves motion optimisation to a switch: +opt is that switch thrown
     out = [*base, f"motion.enabled={str(kind != 'baseline').lower()}", f"seed={seed}", f"device={args.device}"]
     out += [f"out={run_directory(args, preset, kind, seed)}", "progress=false"]
-    out += ["preview_every=1000000", "checkpoint_every=1000000"]
+    out += ["preview_every=1000000", "checkpoint_every=1000000", "dynamics=always"]  # stage 2 is scored, paying or not
     out += [f"stage1.steps={sum(steps) if kind == 'control' else steps[0]}"]
     out += [f"stage2.steps={steps[1] if kind == 'avatar' else 0}"]
     if config.decoder["name"] == "upstream":
@@ -113,7 +116,22 @@ def one(args: argparse.Namespace) -> None:
         result = evaluate(run, scored_splits(run.capture), args.fit, not args.no_perceptual, False, trainer.device)
         rows += _rows(result, preset, variant, seed, sum(trainer.seconds[n] for n in range(1, stage + 1)))
         _pictures(args, run, directory / "pictures" / variant.strip("+").replace("+", "_"), trainer.device)
-    write_json(directory / "rows.json", rows)
+    write_json(directory / ROWS, {"settings": settings(args, preset, kind, seed), "rows": rows})
+
+
+def settings(args: argparse.Namespace, preset: str, kind: str, seed: str) -> list[str]:
+    """All that the rows of a run depend on."""
+    scored = [f"image={args.image}", f"fit={args.fit}", f"every={args.every}", f"perceptual={not args.no_perceptual}"]
+    return [*overrides(args, preset, kind, seed), *scored]
+
+
+def finished_rows(args: argparse.Namespace, preset: str, kind: str, seed: str) -> list[dict] | None:
+    """The rows of a run that an earlier call finished with the same settings, else None."""
+    try:
+        known = json.loads((run_directory(args, preset, kind, seed) / ROWS).read_text(encoding="utf-8"))
+        return known["rows"] if known["settings"] == settings(args, preset, kind, seed) else None
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
 
 
 def _rows(result: Evaluation, preset: str, variant: str, seed: str, seconds: float) -> list[dict]:
@@ -245,7 +263,9 @@ def table(rows: list[dict]) -> str:
 
 
 def launch(args: argparse.Namespace, argv: list[str], job: tuple[str, str, str], end: float) -> str | None:
-    """Run one job in a process; None when it went well, else one sentence."""
+    """Run one job in a process, unless an earlier call finished it; None when it went well, else one sentence."""
+    if finished_rows(args, *job) is not None:
+        return None
     if time.monotonic() > end:
         return "not started: --minutes were over"
     directory = run_directory(args, *job)
@@ -288,7 +308,7 @@ def main(argv: list[str] | None = None) -> int:
         if fault:
             faults["_".join(job)] = fault
         else:
-            rows.extend(json.loads((run_directory(args, *job) / "rows.json").read_text(encoding="utf-8")))
+            rows.extend(finished_rows(args, *job) or [])
         order = {name: i for i, name in enumerate([*presets, *VARIANTS, *SPLITS_WITHOUT_TRUTH, *SPLITS])}
         rows.sort(key=lambda r: (order[r["preset"]], order[r["variant"]], order[r["split"]], r["poses"], r["seed"]))
         print(f"{time.monotonic() - start:6.0f} s  {' '.join(job)}  {fault or 'done'}", flush=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,26 @@ def test_the_warm_up_of_upstream_keeps_its_share_of_the_steps(ablation):
 
 def test_overrides_reach_every_run(ablation):
     assert configuration(ablation, "default", "baseline", "decoder.scale_limit=2").decoder["scale_limit"] == 2
+
+
+def test_a_run_of_the_same_settings_is_not_made_again(ablation, tmp_path, monkeypatch):
+    def arguments(*extra):
+        return ablation.arguments(["capture", "--out", str(tmp_path), "--steps", "110/40", *extra])
+
+    job = ("default", "avatar", "3")
+    assert ablation.finished_rows(arguments(), *job) is None
+    known = {"settings": ablation.settings(arguments(), *job), "rows": [{"psnr": 30.0}]}
+    folder = ablation.run_directory(arguments(), *job)
+    folder.mkdir()
+    (folder / "rows.json").write_text(json.dumps(known))
+    assert ablation.finished_rows(arguments(), *job) == known["rows"]
+    monkeypatch.setattr(ablation.subprocess, "run", lambda *a, **k: pytest.fail("made again"))
+    assert ablation.launch(arguments(), [], job, 0.0) is None
+    for other in (["--every", "2"], ["--fit", "3"], ["decoder.scale_limit=2"], ["--image", "0.5"]):
+        assert ablation.finished_rows(arguments(*other), *job) is None
+    (folder / "rows.json").write_text("[]")
+    assert ablation.finished_rows(arguments(), *job) is None
+    assert "not started" in ablation.launch(arguments(), [], job, 0.0)
 
 
 def test_a_resized_capture_is_smaller_and_otherwise_the_same(tmp_path):

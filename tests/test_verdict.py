@@ -88,10 +88,10 @@ def test_equal_images_do_not_break_the_verdict():
     assert verdict == {"kept": False, "gain_db": 0.0, "standard_error_db": 0.0, "views": 4}
 
 
-def test_encoder_auto_is_the_u_net_on_trial(capture):
+def test_encoder_auto_is_the_linear_one_on_trial(capture):
     config = check(compose_config([f"capture={capture}", "out=x", "encoder=auto"]))
     assert config.dynamics == "auto"
-    assert config.encoder["name"] == "unet"
+    assert config.encoder["name"] == "linear"
 
 
 @pytest.mark.parametrize("option", ["dynamics=sometimes", "dynamics_gain=nan"])

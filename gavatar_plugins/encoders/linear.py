@@ -16,6 +16,10 @@ from gavatar_runtime.body import SMPL_BODY_JOINTS
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.surface import Surface
 
+GAIN = 5.0  # of the parameters, so that a rate which suits a network's weights suits the maps
+# what a surface that scatters evenly returns of light of degree 2 beside degree 1 (Ramamoorthi & Hanrahan 2001, eq. 9)
+SECOND_DEGREE = 3 / 8
+
 
 @dataclasses.dataclass
 class LinearConfig:
@@ -23,7 +27,7 @@ class LinearConfig:
     0 for none. reach: how far along the skeleton such a joint may be. beyond: how far outside the range that training
     saw a weight may go, as a share of that range. map_size: side of the maps."""
 
-    order: int = 2
+    order: int = 1
     bases: int = 4
     reach: int = 2
     beyond: float = 0.25
@@ -32,7 +36,7 @@ class LinearConfig:
 
 @ENCODERS.register("linear", config=LinearConfig, summary="maps weighted by each texel's light and by nearby joints")
 class LinearEncoder(nn.Module):
-    """features(u, v) = sum_k clamp(w_k(u, v) - mean_k(u, v)) F_k(u, v), the maps F learned from zero.
+    """features(u, v) = sum_k clamp(w_k(u, v) - mean_k(u, v)) F_k(u, v), the maps F = GAIN * `maps` learned from zero.
 
     The weights w are fixed functions of the pose: the spherical harmonics of the texel's normal in the WORLD, for the
     light stays with the room when the person turns; and for each body joint the first principal components of the
@@ -79,9 +83,10 @@ class LinearEncoder(nn.Module):
         -> (B, C, M, M) pose features."""
         weights = torch.minimum(torch.maximum(self._weights(inputs) - self.mean, self.low), self.high)
         # one product a map: all at once would hold K times as many floats
-        total = weights[:, :1] * self.maps[0]
-        for k in range(1, len(self.maps)):
-            total = total + weights[:, k : k + 1] * self.maps[k]
+        maps = GAIN * self.maps
+        total = weights[:, :1] * maps[0]
+        for k in range(1, len(maps)):
+            total = total + weights[:, k : k + 1] * maps[k]
         return total
 
     def _weights(self, inputs: tuple[Tensor, ...]) -> Tensor:
@@ -89,7 +94,9 @@ class LinearEncoder(nn.Module):
         given = dict(zip(self.inputs, inputs, strict=True))
         weights = []
         if self.config.order:
-            weights.append(harmonics(given["normal_map"], self.config.order))
+            shares = [1.0] * 3 + [SECOND_DEGREE] * 5 * (self.config.order - 1)
+            values = harmonics(given["normal_map"], self.config.order)
+            weights.append(values * values.new_tensor(shares)[:, None, None])
         if self.config.bases:
             coefficients = (given["joint_rotations"].flatten(1) - self.rotation_mean) @ self.components
             J, M, _ = self.carried.shape
