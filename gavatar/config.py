@@ -55,8 +55,8 @@ class MotionConfig:
     standard deviation of `gavatar.motion.shared_frames`; 0: each frame learns from its own images alone);
     sharing_final: what it narrows to at the fraction sharing_end of the stage. guard: at the end of the stage, frames
     whose refined pose renders worse than the estimated one get their estimate back. betas: the shape coefficients are
-    optimised too, one vector for the capture, at the rate lr_betas (standard deviations a step). stage2: factor on
-    both rates in stage 2, 0 to leave the poses as stage 1 refined them, as published."""
+    optimised too, one vector for the capture, at the rate lr_betas (standard deviations a step). stage2,
+    stage2_trans: factors on lr and lr_trans in stage 2, 0 to leave the poses as stage 1 refined them, as published."""
 
     enabled: bool = True
     lr: float = 1.0e-2
@@ -71,6 +71,7 @@ class MotionConfig:
     betas: bool = False
     lr_betas: float = 1.0e-2
     stage2: float = 0.0
+    stage2_trans: float = 0.0
 
 
 @dataclasses.dataclass
@@ -164,7 +165,7 @@ def check(config: DictConfig) -> TrainConfig:
 
 def check_motion(motion: MotionConfig) -> None:
     """UserError naming the field unless every number is possible."""
-    for field in ("lr", "lr_trans", "lr_betas", "sharing", "sharing_final", "sharing_end", "stage2"):
+    for field in ("lr", "lr_trans", "lr_betas", "sharing", "sharing_final", "sharing_end", "stage2", "stage2_trans"):
         value = getattr(motion, field)
         number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         if not number or value < 0 or (field == "sharing_end" and value > 1):

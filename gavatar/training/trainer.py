@@ -182,9 +182,9 @@ class _Stage:
         self.base_lr = [group["lr"] for group in groups]
         self.optimizer = torch.optim.Adam(groups, fused=True)  # one pass over each parameter
         options = trainer.config.motion
-        share = 1.0 if number == 1 else options.stage2
-        self.moves = options.enabled and share > 0
-        self.motion_lr = (share * options.lr, share * options.lr_trans)
+        shares = (1.0, 1.0) if number == 1 else (options.stage2, options.stage2_trans)
+        self.moves = options.enabled and max(shares) > 0
+        self.motion_lr = (shares[0] * options.lr, shares[1] * options.lr_trans)
         self.motion_optimizer = RowAdam(
             [
                 {"params": [motion.rotation_correction], "lr": options.lr},
