@@ -16,7 +16,8 @@ import numpy as np
 
 from gavatar_runtime.body import BodyData, Hands
 from gavatar_runtime.errors import UserError, did_you_mean
-from gavatar_runtime.safe_pickle import load_npz, load_pickle
+from gavatar_runtime.numpy_file import load_npz
+from gavatar_runtime.safe_pickle import load_pickle
 from gavatar_runtime.skeletons import SMPL, SMPLH, SMPLX
 
 from .body_search import ENVIRONMENT, files_below, search_folders

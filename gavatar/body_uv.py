@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.safe_pickle import load_npz
+from gavatar_runtime.numpy_file import load_npz
 
 from .body_search import files_below
 

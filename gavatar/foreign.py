@@ -11,7 +11,7 @@ import numpy as np
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import Faults, UserError, frames_named
 from gavatar_runtime.motion import Motion
-from gavatar_runtime.safe_pickle import load_npz
+from gavatar_runtime.numpy_file import load_npz
 
 from .capture import View, read_image
 

@@ -17,7 +17,8 @@ import pytest
 from fake_chumpy import Ch, Select, python2_pickle
 
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.safe_pickle import load_npz, load_pickle, loads
+from gavatar_runtime.numpy_file import load_npz
+from gavatar_runtime.safe_pickle import load_pickle, loads
 
 PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
 

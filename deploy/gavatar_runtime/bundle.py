@@ -35,7 +35,6 @@ from .errors import UserError
 from .files import atomic
 from .surface import Surface
 
-SUFFIX = ".gavatar"
 FORMAT = "gavatar"
 FORMAT_VERSION = 1
 MANIFEST = "manifest.json"

@@ -22,7 +22,6 @@ LIMBS = {
     "wrist": ("hand", "wrist"),
 }
 CENTRE = {"neck": ("neck", "neck1", "neck01", "lowerneck"), "head": ("head",)}
-ROOTS = ("hips", "hip", "pelvis", "root")
 FINGER_NAMES = {
     "index": "index",
     "middle": "middle|mid",

@@ -16,8 +16,8 @@ from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import Faults, UserError
 from gavatar_runtime.joblib_file import load_joblib
 from gavatar_runtime.motion import Motion
+from gavatar_runtime.numpy_file import load_npy
 from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
-from gavatar_runtime.safe_pickle import load_npy
 
 CAM = "cam0"
 MODELS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "OPENCV": 8}  # COLMAP's, by number of parameters

@@ -16,8 +16,8 @@ from gavatar.registry import CAPTURES
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import Faults, UserError
 from gavatar_runtime.motion import Motion
+from gavatar_runtime.numpy_file import load_npy
 from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from gavatar_runtime.safe_pickle import load_npy
 
 TRAINING_CAMERAS = (0, 6, 12, 18)
 # Neural Body's configs/zju_mocap_exp: first training frame and their number; 300 from the first elsewhere
