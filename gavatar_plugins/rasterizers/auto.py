@@ -24,6 +24,8 @@ class AutoRasterizer:
     """Chooses at each call by device and dtype and logs a choice when it is first made. Options of the chosen one are
     its defaults; name it to set them."""
 
+    differentiable = True
+
     def __init__(self, config: NoOptions | None = None):
         self._chosen: dict[tuple[str, ...], object] = {}
 

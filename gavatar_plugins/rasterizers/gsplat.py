@@ -60,6 +60,8 @@ class GsplatRasterizer:
     not float32 on CUDA.
     """
 
+    differentiable = True
+
     def __init__(self, config: GsplatRasterizerConfig | None = None):
         self.config = config or GsplatRasterizerConfig()
         self._rasterization = _load()

@@ -55,6 +55,8 @@ class NativeRasterizer:
     tensors, which rasterizer=torch takes, and where the kernel was not compiled.
     """
 
+    differentiable = True
+
     def __init__(self, config: NativeRasterizerConfig | None = None):
         self.config = config or NativeRasterizerConfig()
         self._lib = nl.library()

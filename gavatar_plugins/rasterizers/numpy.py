@@ -17,6 +17,8 @@ from .torch_projection import check_dtype
 class NumpyTensors:
     """Adapts the player's reference to CPU tensors. Raises UserError where a gradient would be needed."""
 
+    differentiable = False
+
     def __init__(self, config: NoOptions | None = None):
         self.config = config
 

@@ -66,6 +66,8 @@ class TorchRasterizer:
     Raises UserError for what it cannot do.
     """
 
+    differentiable = True
+
     def __init__(self, config: TorchRasterizerConfig):
         self.config = config
 

@@ -66,6 +66,8 @@ class NativeRasterizer:
     not compiled. stage_seconds: wall seconds of `project`, `sort` and `blend` of the last call.
     """
 
+    differentiable = False
+
     def __init__(self, config: NativeConfig | None = None):
         self.config = config or NativeConfig()
         self._lib = nl.library()

@@ -174,6 +174,8 @@ class NumpyConfig:
 class NumpyRasterizer:
     """`render(gaussians, camera, background) -> Rendering` and the seconds of its stages."""
 
+    differentiable = False
+
     def __init__(self, config: NumpyConfig | None = None):
         self.config = config or NumpyConfig()
         self.stage_seconds: dict[str, float] = {}
