@@ -25,6 +25,7 @@ from gavatar.evaluation import joints_of
 from gavatar.files import write_json
 from gavatar.registry import load_plugins
 from gavatar.reporting import format_table
+from gavatar.training.mending import other_side
 from gavatar.training.run import train
 from gavatar.training.verdict import refuse_worse_poses
 from gavatar_runtime.errors import exit_cleanly
@@ -59,20 +60,12 @@ def spoilt(arrays: dict[str, np.ndarray], groups: dict[str, list[int]], seed: in
             turn = matrix_from_axis_angle(TURN * axis / np.linalg.norm(axis))
             poses[frame, joint] = axis_angle_from_matrix(matrix_from_axis_angle(poses[frame, joint]) @ turn)
     names = list(BODY)
-    other = [names.index(_other_side(name)) for name in names]
+    other = [names.index(other_side(name)) for name in names]
     for frame in groups["swapped"]:
         limbs = slice(1, SMPL_BODY_JOINTS)
         poses[frame, limbs] = (poses[frame, other] * [1, -1, -1])[limbs]  # mirrored: x is to the person's left
     trans[groups["jump"], 0] += JUMP
     return arrays | {"poses": poses.reshape(arrays["poses"].shape).astype(np.float32), "trans": trans}
-
-
-def _other_side(name: str) -> str:
-    sides = ("left_", "right_")
-    for a, b in (sides, sides[::-1]):
-        if name.startswith(a):
-            return b + name.removeprefix(a)
-    return name
 
 
 def plant(source: Path, folder: Path, seed: int) -> dict[str, list[int]]:

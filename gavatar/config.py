@@ -54,9 +54,11 @@ class MotionConfig:
     first joints are corrected. sharing: seconds over which neighbouring frames are corrected alike at the start (the
     standard deviation of `gavatar.motion.shared_frames`; 0: each frame learns from its own images alone);
     sharing_final: what it narrows to at the fraction sharing_end of the stage. guard: at the end of the stage, frames
-    whose refined pose renders worse than the estimated one get their estimate back. betas: the shape coefficients are
-    optimised too, one vector for the capture, at the rate lr_betas (standard deviations a step). stage2,
-    stage2_trans: factors on lr and lr_trans in stage 2, 0 to leave the poses as stage 1 refined them, as published."""
+    whose refined pose renders worse than the estimated one get their estimate back. mend: fraction of the stage at
+    which frames that another pose (their estimate, or one made from it or from their neighbours) renders better by far
+    get that pose; 0: never. betas: the shape coefficients are optimised too, one vector for the capture, at the rate
+    lr_betas (standard deviations a step). stage2, stage2_trans: factors on lr and lr_trans in stage 2, 0 to leave the
+    poses as stage 1 refined them, as published."""
 
     enabled: bool = True
     lr: float = 1.0e-2
@@ -68,6 +70,7 @@ class MotionConfig:
     sharing_final: float = 0.0
     sharing_end: float = 0.7
     guard: bool = True
+    mend: float = 0.0
     betas: bool = False
     lr_betas: float = 1.0e-2
     stage2: float = 0.0
@@ -165,11 +168,13 @@ def check(config: DictConfig) -> TrainConfig:
 
 def check_motion(motion: MotionConfig) -> None:
     """UserError naming the field unless every number is possible."""
-    for field in ("lr", "lr_trans", "lr_betas", "sharing", "sharing_final", "sharing_end", "stage2", "stage2_trans"):
+    for field in (
+        "lr", "lr_trans", "lr_betas", "sharing", "sharing_final", "sharing_end", "mend", "stage2", "stage2_trans"
+    ):  # fmt: skip
         value = getattr(motion, field)
         number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not number or value < 0 or (field == "sharing_end" and value > 1):
-            kind = "a fraction of the stage" if field == "sharing_end" else "a number of at least 0"
+        if not number or value < 0 or (field in ("sharing_end", "mend") and value > 1):
+            kind = "a fraction of the stage" if field in ("sharing_end", "mend") else "a number of at least 0"
             raise UserError(f"motion.{field} must be {kind}, not {value!r}")
     if not 0 <= motion.start <= motion.end <= 1:
         raise UserError("motion.start and motion.end must be fractions with 0 <= start <= end <= 1")

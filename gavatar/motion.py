@@ -56,6 +56,10 @@ class MotionTable(nn.Module):
         rotations = torch.cat([corrected, initial[:, self.joints :]], 1)
         return rotations, self.initial_trans[frames] + shift[frames]
 
+    def estimated(self, frame: int) -> tuple[Tensor, Tensor]:
+        """(1, J, 3, 3) local rotations and (1, 3) translation of one frame as they were estimated."""
+        return self.initial_rotations[[frame]], self.initial_trans[[frame]]
+
     def expression(self, frames: Tensor | slice | list[int] = slice(None)) -> Tensor | None:
         """(B, E) expression coefficients of the given frames, None of a motion without any."""
         return None if self._expression is None else self._expression[frames]
@@ -106,6 +110,12 @@ class RowAdam(torch.optim.Optimizer):
 
     def __init__(self, parameters, lr: float = 1e-3, betas: tuple[float, float] = (0.9, 0.99), eps: float = 1e-10):
         super().__init__(parameters, {"lr": lr, "betas": betas, "eps": eps})
+
+    def forget(self, rows: list[int]) -> None:
+        """Start afresh on these rows, as if they had never been stepped."""
+        for state in self.state.values():
+            for values in state.values():
+                values[rows] = 0
 
     @torch.no_grad()
     def step(  # type: ignore[override]

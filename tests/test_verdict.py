@@ -39,7 +39,7 @@ def test_a_frame_whose_pose_got_worse_is_given_its_estimate_back(capture, tmp_pa
     assert torch.equal(after[kept], before[kept])
     # what is left can only be better than, or as good as, the estimate
     rows = list(range(len(trainer.views)))
-    assert (view_errors(trainer, rows, 1) <= view_errors(trainer, rows, 1, estimated=True)).all()
+    assert (view_errors(trainer, rows, 1) <= view_errors(trainer, rows, 1, pose=trainer.motion.estimated)).all()
 
 
 def test_the_guard_reports_the_frames_it_refused(capture, tmp_path):

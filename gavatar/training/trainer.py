@@ -27,6 +27,7 @@ from .exposure import RATE as EXPOSURE_RATE
 from .exposure import Exposure
 from .facing import facing_texels
 from .memory import keep_freed_memory
+from .mending import mend_outliers
 from .preview import as_image, side_by_side
 from .shape import Shape
 from .stage import background_at, batch_rows, level_at, lr_factor, sharing_width
@@ -69,6 +70,7 @@ class Trainer:
         ).to(self.device)  # fmt: skip
         self.exposure = Exposure(len(self.views)).to(self.device) if config.exposure else None
         self.shape: Shape | None = None
+        self.shape_settled = False
         if config.motion.betas and config.motion.enabled:
             self.shape = Shape(self.built.betas, self.built.body.data.num_betas).to(self.device)
         self.frames = sorted({view.frame for view in self.views})
@@ -132,9 +134,13 @@ class Trainer:
         for frame in frames:
             self._inputs.pop(frame, None)
 
+    def shape_change(self) -> Tensor | None:
+        """What the shape is corrected by beyond the body that the avatar stands on, None where that is all."""
+        return None if self.shape is None or self.shape_settled else self.shape.change
+
     def settle_shape(self) -> None:
         """From here on the avatar is the body of the shape as it is corrected now, sampled afresh."""
-        betas = self.shape.betas
+        betas, self.shape_settled = self.shape.betas, True
         self.built.reshape(betas)
         self.motion.betas = betas.astype(np.float32)
         self._inputs.clear()
@@ -184,6 +190,7 @@ class _Stage:
         options = trainer.config.motion
         shares = (1.0, 1.0) if number == 1 else (options.stage2, options.stage2_trans)
         self.moves = options.enabled and max(shares) > 0
+        self.mends = self.moves and number == 1 and options.mend > 0
         self.motion_lr = (shares[0] * options.lr, shares[1] * options.lr_trans)
         self.motion_optimizer = RowAdam(
             [
@@ -349,6 +356,13 @@ class _Stage:
     def _step(self, step: int) -> dict[str, float]:
         trainer, config = self.trainer, self.trainer.config
         data, progress = self._prepare(step)
+        if (
+            self.moves
+            and self.number == 1
+            and config.motion.mend
+            and step == round(config.motion.mend * self.config.steps)
+        ):
+            self._mend(level_at(self.config, step).image)
         drawn = batch_rows(config.seed + self.number, len(self.rows), self.config.batch, step)
         rows = [self.rows[r] for r in drawn]
         frames = [data.views[r].frame for r in rows]
@@ -375,6 +389,12 @@ class _Stage:
             write_image(trainer.directory / "previews" / f"stage{self.number}_{step:06d}.png", picture)
         return {"total": float(total.detach()), **values}
 
+    def _mend(self, image: float) -> None:
+        mended = mend_outliers(self.trainer, image)
+        self.motion_optimizer.forget(mended)
+        self.trainer.moved(mended)
+        self.trainer.verdicts["frames_mended"] = mended
+
     def _step_motion(self, shown: list[int], progress: float) -> None:
         trainer, options = self.trainer, self.trainer.config.motion
         frames = torch.tensor(trainer.frames, device=trainer.device)
@@ -392,8 +412,8 @@ class _Stage:
             pose_features = avatar.encode(*trainer.pose_inputs(frames))
         attributes = avatar.attributes(pose_features)
         images, alphas = [], []
-        change = None if self.shape is None else self.shape.change
-        posed = avatar.pose(attributes, *trainer.motion(frames), trainer.motion.expression(frames), change)
+        expression, change = trainer.motion.expression(frames), trainer.shape_change()
+        posed = avatar.pose(attributes, *trainer.motion(frames), expression, change)
         for row, gaussians in zip(rows, posed, strict=True):
             rendering = trainer.rasterize(gaussians, data.cameras[row], background.to(trainer.device))
             images.append(rendering.color.permute(2, 0, 1))
@@ -428,13 +448,17 @@ class _Stage:
         }
         rotations, trans = table(frames, *self.motion_leaves.values())
         share = len(frames) / shown
+        initial_rotations, initial_trans = table.initial_rotations[frames], table.initial_trans[frames]
+        mended = [self.trainer._frame_row[frame] for frame in self.trainer.verdicts.get("frames_mended", [])]
+        if mended:  # their estimate was found wrong: it must not draw them back
+            initial_rotations[mended], initial_trans[mended] = rotations[mended].detach(), trans[mended].detach()
         return MotionState(
             rotations=scale_gradient(rotations, share),
-            rotations_initial=table.initial_rotations[frames],
+            rotations_initial=initial_rotations,
             trans=scale_gradient(trans, share),
-            trans_initial=table.initial_trans[frames],
+            trans_initial=initial_trans,
             frame_times=torch.tensor(frames, device=trans.device, dtype=trans.dtype) / table.fps,
-            betas_change=None if self.shape is None else self.shape.change,
+            betas_change=self.trainer.shape_change(),
         )
 
 

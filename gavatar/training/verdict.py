@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from gavatar_runtime.errors import UserError
 
@@ -18,14 +20,22 @@ HELD_OUT_EVERY = 8  # with dynamics=auto, the share of training views that stage
 
 
 @torch.no_grad()
-def view_errors(trainer: Trainer, rows: list[int], stage: int, estimated: bool = False) -> np.ndarray:
-    """(V,) mean squared error on white of training views `rows`, at the stage's last image scale.
+def view_errors(
+    trainer: Trainer,
+    rows: list[int],
+    stage: int,
+    *,
+    pose: Callable[[int], tuple[Tensor, Tensor]] | None = None,
+    image: float | None = None,
+) -> np.ndarray:
+    """(V,) mean squared error on white of training views `rows`.
 
-    stage 2 renders with the pose encoder, 1 without. estimated: with the poses as given, not as refined. The
-    encoder looks at the refined motion.
+    stage 2 renders with the pose encoder, 1 without. pose: a frame's (1, J, 3, 3) rotations and (1, 3) translation, by
+    default as refined; the encoder looks at the refined motion. image: scale of the images, by default the stage's
+    last.
     """
     avatar, table = trainer.avatar, trainer.motion
-    data = trainer.footage_at(getattr(trainer.config, f"stage{stage}").levels[-1].image)
+    data = trainer.footage_at(image or getattr(trainer.config, f"stage{stage}").levels[-1].image)
     background = torch.ones(3)
     training = avatar.training
     avatar.eval()
@@ -34,8 +44,8 @@ def view_errors(trainer: Trainer, rows: list[int], stage: int, estimated: bool =
     for row in rows:
         frame = data.views[row].frame
         attributes = static or avatar.attributes(avatar.encode(*trainer.pose_inputs([frame])))
-        pose = (table.initial_rotations[[frame]], table.initial_trans[[frame]]) if estimated else table([frame])
-        (gaussians,) = avatar.pose(attributes, *pose, table.expression([frame]))
+        rotations, trans = table([frame]) if pose is None else pose(frame)
+        (gaussians,) = avatar.pose(attributes, rotations, trans, table.expression([frame]), trainer.shape_change())
         drawn = trainer.rasterize(gaussians, data.cameras[row], background.to(trainer.device))
         alpha = drawn.alpha[None]
         render = trainer.seen([row], drawn.color.permute(2, 0, 1)[None], alpha, background)
@@ -53,7 +63,7 @@ def refuse_worse_poses(trainer: Trainer, stage: int = 1) -> list[int]:
     given the benefit of the doubt, and only what does not even pay there is refused.
     """
     rows = list(range(len(trainer.views)))
-    gain = view_errors(trainer, rows, stage, estimated=True) - view_errors(trainer, rows, stage)
+    gain = view_errors(trainer, rows, stage, pose=trainer.motion.estimated) - view_errors(trainer, rows, stage)
     frames = np.array([view.frame for view in trainer.views])
     refused = [frame for frame in trainer.frames if gain[frames == frame].sum() < 0]
     trainer.motion.rotation_correction[refused] = 0
