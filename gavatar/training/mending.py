@@ -67,12 +67,14 @@ Poses = dict[int, tuple[Tensor, Tensor]]  # by frame, (1, J, 3, 3) and (1, 3)
 
 
 def candidates(table: MotionTable, frames: list[int], names: Sequence[str]) -> list[list[Poses]]:
-    """What may be right of each frame where the refined pose is not, in kinds that change more and more: the root put
-    between its neighbours; left and right exchanged; the whole pose put between its neighbours."""
-    now = {frame: table([frame]) for frame in frames}
+    """What may be right of each frame where the refined pose is not, in kinds that change more and more: the estimate,
+    where wrong neighbours have drawn it along; the root put between its neighbours; the estimate with left and right
+    exchanged; the whole pose put between its neighbours."""
+    estimate = {frame: table.estimated(frame) for frame in frames}
     spans = [between(table, frames, reach) for reach in REACHES]
-    moved = [{f: (now[f][0], trans) for f, (_, trans) in span.items()} for span in spans]
-    return [moved, [{f: (exchanged(turns, names), trans) for f, (turns, trans) in now.items()}], spans]
+    moved = [{f: (table([f])[0], trans) for f, (_, trans) in span.items()} for span in spans]
+    swapped = {f: (exchanged(rotations, names), trans) for f, (rotations, trans) in estimate.items()}
+    return [[estimate], moved, [swapped], spans]
 
 
 @torch.no_grad()
