@@ -70,7 +70,9 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--picture-of", type=Path, metavar="RUN", help="only make --figure, of a finished run's stages")
     parser.add_argument("--one", nargs=3, metavar=("PRESET", "KIND", "SEED"), help=argparse.SUPPRESS)
     parser.add_argument("override", nargs="*", help="Hydra overrides for every run, for example decoder.scale_limit=2")
-    return parser.parse_intermixed_args(argv)
+    args = parser.parse_intermixed_args(argv)
+    args.capture = args.capture.absolute()
+    return args
 
 
 def overrides(args: argparse.Namespace, preset: str, kind: str, seed: str) -> list[str]:
