@@ -20,7 +20,9 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch, as `import gavatar` does: idle threads sleep
 
+import reference_splat  # noqa: E402
 import torch  # noqa: E402
 from splat_scenes import as_numpy, as_torch, body_camera, body_scene, map_fields  # noqa: E402
 
@@ -109,6 +111,18 @@ def rows(arguments) -> list[dict]:
                 print(describe(row), flush=True)
                 cost = row["median_ms"] / work
     return found
+
+
+def reference_row() -> dict:
+    """The plain float64 reference that the tests hold every rasterizer against, drawn once at the headline."""
+    scene, camera = as_numpy(body_scene(HEADLINE[0])), body_camera(*HEADLINE[1:])
+    start = time.perf_counter()
+    reference_splat.render(scene, camera)
+    once = 1e3 * (time.perf_counter() - start)
+    at = dict(zip(("gaussians", "width", "height"), HEADLINE, strict=True))
+    return {"rasterizer": "reference", "mode": "forward", **at, "threads": 1} | dict.fromkeys(
+        ("median_ms", "p10_ms", "p90_ms"), once
+    )
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float | None:
@@ -234,6 +248,7 @@ def main() -> None:
     parser.add_argument("--figure", type=Path)
     parser.add_argument("--seconds", type=float, default=1.0)
     parser.add_argument("--patience", type=float, default=10.0, help="seconds a single picture may take")
+    parser.add_argument("--reference", action="store_true", help="and the tests' plain reference, once (a minute)")
     parser.add_argument("--quick", action="store_true", help="only 200,000 Gaussians at 512x512 and 1024x1024")
     arguments = parser.parse_args()
     arguments.counts = (200_000,) if arguments.quick else COUNTS
@@ -244,6 +259,9 @@ def main() -> None:
         print(f"native: {nl.instruction_set()}, {nl.threads()} threads")
         print("accuracy:", {k: float(f"{v:.3g}") for k, v in accuracy().items()}, flush=True)
     found = rows(arguments)
+    if arguments.reference:
+        found.append(reference_row())
+        print(describe(found[-1]), flush=True)
     plain = list(found)
     if native:
         found += native_rows(arguments.seconds)
