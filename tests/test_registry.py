@@ -227,7 +227,9 @@ def test_options_that_hydra_cannot_hold_are_named_and_the_rest_go_on(plugin_modu
 
 def test_the_list_shows_options_origin_and_failures(plugin_modules, capsys):
     plugin_modules({"p_raises": "1 / 0", "p_good": GOOD})
-    registries.DECODERS.register("frozen", config=FrozenOptions, needs="a file of your own")(lambda options: options)
+    registries.DECODERS.register(
+        "frozen", config=FrozenOptions, needs="a file of your own", missing=lambda: "nobody brought the file"
+    )(lambda options: options)
     with pytest.raises(SystemExit) as exit_:
         listing.main(["decoder"])
     out, err = capsys.readouterr()
@@ -237,6 +239,7 @@ def test_the_list_shows_options_origin_and_failures(plugin_modules, capsys):
     assert "path: str, required" in out
     assert "width: int = 4" in out
     assert "needs a file of your own" in out
+    assert "not here: nobody brought the file" in out
     assert "ZeroDivisionError: division by zero" in out
     assert "\nencoder\n" not in out
 

@@ -32,7 +32,7 @@ class Component(Generic[T]):
 
     name: key in the registry and in overrides. factory: the class or function. config: its dataclass of options.
     summary: one line for `gavatar-list`. origin: the module that registered it. needs: what must be installed or
-    supplied beyond the package ('' if nothing).
+    supplied beyond the package ('' if nothing). missing: says why it cannot be had here, '' if it can.
     """
 
     name: str
@@ -41,6 +41,7 @@ class Component(Generic[T]):
     summary: str
     origin: str
     needs: str = ""
+    missing: Callable[[], str] = str
 
 
 class Registry(Generic[T]):
@@ -54,7 +55,13 @@ class Registry(Generic[T]):
         self._components: dict[str, Component[T]] = {}
 
     def register(
-        self, name: str, *, config: type = NoOptions, summary: str = "", needs: str = ""
+        self,
+        name: str,
+        *,
+        config: type = NoOptions,
+        summary: str = "",
+        needs: str = "",
+        missing: Callable[[], str] = str,
     ) -> Callable[[Callable[..., T]], Callable[..., T]]:
         """Register the decorated class or function as `name`; a duplicate replaces the former with a warning."""
         if not dataclasses.is_dataclass(config):
@@ -68,7 +75,7 @@ class Registry(Generic[T]):
                 )
             doc = (factory.__doc__ or "").strip().splitlines()
             self._components[name] = Component(
-                name, factory, config, summary or (doc[0] if doc else ""), factory.__module__, needs
+                name, factory, config, summary or (doc[0] if doc else ""), factory.__module__, needs, missing
             )
             return factory
 

@@ -84,6 +84,7 @@ def describe(component: Component) -> dict[str, Any]:
         "origin": component.origin,
         "distribution": distribution_of(component.origin),
         "needs": component.needs,
+        "missing": component.missing(),
         "options": option_rows(component.config),
     }
 
@@ -107,6 +108,8 @@ def _print_group(group: str, rows: list[dict[str, Any]]) -> None:
         print(f"  {'':{width}}  from {origin}")
         if row["needs"]:
             print(f"  {'':{width}}  needs {row['needs']}")
+        if row["missing"]:
+            print(f"  {'':{width}}  not here: {row['missing']}")
         options = [
             f"{o['name']}: {o['type']}" + (", required" if o["required"] else f" = {o['default']!r}")
             for o in row["options"]

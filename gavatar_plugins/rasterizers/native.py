@@ -45,7 +45,8 @@ class NativeRasterizerConfig:
     "native",
     config=NativeRasterizerConfig,
     summary="exact, differentiable, compiled for the CPU",
-    needs="a C++ compiler",
+    needs="a C++ compiler at install, or the wheel",
+    missing=lambda: nl.available()[1],
 )
 class NativeRasterizer:
     """Exact splatting of float32 CPU tensors, with gradients to every field and to the background.
