@@ -17,7 +17,7 @@ import numpy as np
 from gavatar.config import compose_config
 from gavatar.demo import demo_capture
 from gavatar.training.run import train
-from gavatar.training.trainer import _Stage
+from gavatar.training.stage import Stage
 
 
 def main() -> None:
@@ -28,7 +28,7 @@ def main() -> None:
     if not any(o.startswith("capture=") for o in overrides):
         overrides.append(f"capture={demo_capture()}")
     seconds: dict[int, list[float]] = {1: [], 2: []}
-    original = _Stage._step
+    original = Stage._step
 
     def timed(self, step):
         start = time.perf_counter()
@@ -36,7 +36,7 @@ def main() -> None:
         seconds[self.number].append(time.perf_counter() - start)
         return result
 
-    _Stage._step = timed
+    Stage._step = timed
     with tempfile.TemporaryDirectory() as out:
         steps = [f"stage{n}.steps={arguments.steps}" for n in (1, 2)]
         trainer = train(compose_config([*overrides, *steps, f"out={out}/run", "progress=false"]), Path(out) / "run")

@@ -24,7 +24,8 @@ from gavatar.demo import demo_capture
 from gavatar.files import write_json
 from gavatar.reporting import format_table
 from gavatar.training.data import Footage
-from gavatar.training.trainer import Trainer, _Stage
+from gavatar.training.stage import Stage
+from gavatar.training.trainer import Trainer
 from gavatar_runtime.errors import exit_cleanly
 
 PARTS = ["images", "encoder", "decoder", "skinning", "splatting", "losses", "backward", "optimiser", "rest"]
@@ -80,7 +81,7 @@ def measure(overrides: list[str], uv: int, steps: int, folder: Path) -> list[dic
 
 
 def _stage(trainer: Trainer, clock: Clock, number: int, uv: int, steps: int) -> dict:
-    stage = _Stage(trainer, number)
+    stage = Stage(trainer, number)
     clock.wrap(stage.optimizer, "step", "optimiser")
     clock.wrap(stage.motion_optimizer, "step", "optimiser")
     trainer.avatar.train()

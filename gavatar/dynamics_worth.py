@@ -11,7 +11,7 @@ import torch
 
 from .evaluation import Evaluation, Evaluator, pose_features
 from .training.run import open_run
-from .training.trainer import STAGE_FILES
+from .training.stage import STAGE_FILES
 from .training.verdict import dynamics_verdict
 
 TIMED_FRAMES = 9

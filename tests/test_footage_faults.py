@@ -189,13 +189,13 @@ def test_exposures_are_resumed_too(capture, tmp_path, monkeypatch):
     class Killed(Exception):
         pass
 
-    original = trainer_module._Stage._save
+    original = trainer_module.Stage._save
 
     def killed(stage, step):
         original(stage, step)
         raise Killed
 
-    monkeypatch.setattr(trainer_module._Stage, "_save", killed)
+    monkeypatch.setattr(trainer_module.Stage, "_save", killed)
     with pytest.raises(Killed):
         train(config(capture, tmp_path / "parts", "exposure=true"), tmp_path / "parts")
     monkeypatch.undo()

@@ -68,16 +68,16 @@ def test_a_run_stopped_after_mending_resumes_to_the_same_result(capture, tmp_pat
     class Stop(Exception):
         pass
 
-    original = module._Stage._save
+    original = module.Stage._save
 
     def save_and_stop(self, step):
         original(self, step)
         raise Stop
 
-    monkeypatch.setattr(module._Stage, "_save", save_and_stop)
+    monkeypatch.setattr(module.Stage, "_save", save_and_stop)
     with pytest.raises(Stop):
         run(capture, tmp_path / "stopped", *settings)
-    monkeypatch.setattr(module._Stage, "_save", original)
+    monkeypatch.setattr(module.Stage, "_save", original)
     run(capture, tmp_path / "stopped", *settings)
     whole, stopped = (load_tensors(tmp_path / name / "stage1.pt")["motion"] for name in ("whole", "stopped"))
     for key in whole:

@@ -10,8 +10,9 @@ from tiny_capture import SMALL, write_tiny_capture
 from gavatar.config import MotionConfig, check, compose_config
 from gavatar.motion import MotionTable, RowAdam, scale_gradient, shared_frames
 from gavatar.training.run import train
-from gavatar.training.stage import sharing_width
-from gavatar.training.trainer import Trainer, _Stage
+from gavatar.training.schedule import sharing_width
+from gavatar.training.stage import Stage
+from gavatar.training.trainer import Trainer
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motion import Motion
 
@@ -138,7 +139,7 @@ def test_a_motion_terms_pull_on_a_shown_frame_does_not_hang_on_how_many_frames_t
         trainer = Trainer(check(compose_config(overrides)), tmp_path / f"r{count}")
         with torch.no_grad():
             trainer.motion.rotation_correction[:count] = 0.1
-        stage = _Stage(trainer, 1)
+        stage = Stage(trainer, 1)
         state = stage._motion_state(shown=2)
         trainer.losses.losses["motion_prior"](type("Inputs", (), {"motion": state})()).backward()
         pulls.append(stage.motion_leaves[trainer.motion.rotation_correction].grad[0])

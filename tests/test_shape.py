@@ -112,17 +112,17 @@ def test_a_run_stopped_anywhere_resumes_to_the_same_shape(capture, trained, tmp_
     class Stop(Exception):
         pass
 
-    original = module._Stage._save
+    original = module.Stage._save
 
     def save_and_stop(self, step):
         original(self, step)
         if (f"stage{self.number}", step) == after:
             raise Stop
 
-    monkeypatch.setattr(module._Stage, "_save", save_and_stop)
+    monkeypatch.setattr(module.Stage, "_save", save_and_stop)
     with pytest.raises(Stop):
         run(capture, tmp_path / "stopped")
-    monkeypatch.setattr(module._Stage, "_save", original)
+    monkeypatch.setattr(module.Stage, "_save", original)
     run(capture, tmp_path / "stopped")
     expected, got = load_tensors(trained / "stage2.pt"), load_tensors(tmp_path / "stopped" / "stage2.pt")
     assert torch.equal(expected["betas"], got["betas"])

@@ -18,7 +18,7 @@ from gavatar.config import check, compose_config
 from gavatar.files import load_tensors
 from gavatar.motion import MotionTable, RowAdam
 from gavatar.training.run import open_run, train
-from gavatar.training.stage import background_at, batch_rows, level_at, lr_factor
+from gavatar.training.schedule import background_at, batch_rows, level_at, lr_factor
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motion import Motion
 
@@ -80,7 +80,7 @@ def test_a_run_stopped_after_any_checkpoint_resumes_to_the_same_result(capture, 
     class Stop(Exception):
         pass
 
-    original = module._Stage._save
+    original = module.Stage._save
 
     def save_and_stop(self, step):
         original(self, step)
@@ -88,10 +88,10 @@ def test_a_run_stopped_after_any_checkpoint_resumes_to_the_same_result(capture, 
             raise Stop
 
     out = tmp_path / "stopped"
-    monkeypatch.setattr(module._Stage, "_save", save_and_stop)
+    monkeypatch.setattr(module.Stage, "_save", save_and_stop)
     with pytest.raises(Stop):
         run(capture, out)
-    monkeypatch.setattr(module._Stage, "_save", original)
+    monkeypatch.setattr(module.Stage, "_save", original)
     run(capture, out)
     for stage in ("stage1.pt", "stage2.pt"):
         expected, got = load_tensors(trained / stage), load_tensors(out / stage)
@@ -171,17 +171,17 @@ def test_poses_that_move_in_stage_two_resume_to_the_same_result(capture, trained
     class Stop(Exception):
         pass
 
-    original, config = module._Stage._save, compose_config([f"capture={capture}", f"out={tmp_path}", *LINEAR])
+    original, config = module.Stage._save, compose_config([f"capture={capture}", f"out={tmp_path}", *LINEAR])
 
     def save_and_stop(self, step):
         original(self, step)
         if (f"stage{self.number}", step) == after:
             raise Stop
 
-    monkeypatch.setattr(module._Stage, "_save", save_and_stop)
+    monkeypatch.setattr(module.Stage, "_save", save_and_stop)
     with pytest.raises(Stop):
         train(config, tmp_path)
-    monkeypatch.setattr(module._Stage, "_save", original)
+    monkeypatch.setattr(module.Stage, "_save", original)
     train(config, tmp_path)
     expected, got = load_tensors(trained_wholly / "stage2.pt"), load_tensors(tmp_path / "stage2.pt")
     assert_same(expected["avatar"], got["avatar"])

@@ -11,7 +11,7 @@ from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.config import check, compose_config
 from gavatar.training.run import open_run, train
-from gavatar.training.trainer import REFUSED
+from gavatar.training.stage import REFUSED
 from gavatar.training.verdict import dynamics_verdict, held_out_rows, refuse_worse_poses, view_errors
 from gavatar_runtime.errors import UserError
 
@@ -64,9 +64,9 @@ def test_stage_2_never_sees_the_views_that_judge_it(capture, tmp_path, monkeypat
     from gavatar.training import trainer as module
 
     seen = []
-    original = module._Stage._render
+    original = module.Stage._render
     monkeypatch.setattr(
-        module._Stage, "_render", lambda s, rows, *a: seen.append((s.number, rows)) or original(s, rows, *a)
+        module.Stage, "_render", lambda s, rows, *a: seen.append((s.number, rows)) or original(s, rows, *a)
     )
     run(capture, tmp_path, "dynamics=auto", "stage2.steps=12")
     assert {row for number, rows in seen for row in rows if number == 2} == {0, 1, 2, 3, 5}

@@ -15,7 +15,8 @@ from ..capture import Capture, View
 from ..config import TrainConfig, check
 from ..files import atomic, load_tensors
 from ..motion import MotionTable
-from .trainer import REFUSED, STAGE_FILES, Trainer, resolved
+from .stage import REFUSED, STAGE_FILES
+from .trainer import Trainer, resolved
 
 CONFIG = "config.yaml"
 

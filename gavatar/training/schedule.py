@@ -1,0 +1,49 @@
+"""What one stage of training is: a schedule, deterministic in the step number alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+
+from ..config import LevelConfig, MotionConfig, StageConfig
+
+
+def level_at(stage: StageConfig, step: int) -> LevelConfig:
+    """The coarse-to-fine level of a step."""
+    fraction = (step + 0.5) / max(1, stage.steps)
+    return next(level for level in stage.levels if fraction <= level.until)
+
+
+def lr_factor(stage: StageConfig, step: int) -> float:
+    """Cosine from 1 to `lr_final` over the stage."""
+    fraction = step / max(1, stage.steps - 1)
+    return stage.lr_final + (1 - stage.lr_final) * 0.5 * (1 + math.cos(math.pi * min(1.0, fraction)))
+
+
+def sharing_width(motion: MotionConfig, progress: float) -> float:
+    """Seconds over which frames share their corrections' gradient: linear from `sharing` to `sharing_final`."""
+    share = min(1.0, progress / motion.sharing_end) if motion.sharing_end > 0 else 1.0
+    return motion.sharing + (motion.sharing_final - motion.sharing) * share
+
+
+def batch_rows(seed: int, count: int, batch: int, step: int) -> list[int]:
+    """Rows of the views shown at `step`: epoch after epoch of seeded permutations, so that a resumed run goes on with
+    just the rows it would have seen. Distinct within a batch (a batch larger than the data is the data)."""
+    batch = min(batch, count)
+    rows: list[int] = []
+    position = step * batch
+    while len(rows) < batch:
+        order = np.random.default_rng([seed, position // count]).permutation(count)
+        fresh = [int(r) for r in order[position % count :] if int(r) not in rows][: batch - len(rows)]
+        rows += fresh
+        position = (position // count + 1) * count
+    return rows
+
+
+def background_at(kind: str, seed: int, step: int) -> torch.Tensor:
+    """(3,) the colour behind person and footage at a step."""
+    if kind == "random":
+        return torch.from_numpy(np.random.default_rng([seed, 7, step]).random(3, np.float32))
+    return torch.full((3,), 1.0 if kind == "white" else 0.0)
