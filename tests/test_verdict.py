@@ -10,6 +10,7 @@ import torch
 from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.config import check, compose_config
+from gavatar.files import load_tensors
 from gavatar.training.run import open_run, train
 from gavatar.training.stage import REFUSED
 from gavatar.training.verdict import dynamics_verdict, held_out_rows, refuse_worse_poses, view_errors
@@ -58,6 +59,24 @@ def test_dynamics_that_do_not_pay_leave_a_static_avatar(capture, tmp_path):
     assert (tmp_path / REFUSED).exists()
     assert not (tmp_path / "stage2.pt").exists()
     assert open_run(tmp_path).avatar.encoder is None
+
+
+def test_dynamics_that_do_not_pay_give_the_poses_of_stage_1_back(capture, tmp_path):
+    moving = ["motion.stage2=1", "motion.stage2_trans=3", "stage2.lr_features=1e-2"]
+    trainer = run(capture, tmp_path, "dynamics=auto", "dynamics_gain=50", *moving)
+    refused, kept = load_tensors(tmp_path / REFUSED)["motion"], load_tensors(tmp_path / "stage1.pt")["motion"]
+    assert not torch.equal(refused["trans_correction"], kept["trans_correction"])
+    assert torch.equal(trainer.motion.trans_correction, kept["trans_correction"])
+    with np.load(tmp_path / "motion.npz") as file:
+        np.testing.assert_array_equal(file["trans"], open_run(tmp_path).motion.motion().trans)
+
+
+@pytest.mark.parametrize("moving", ["motion.stage2=1", "motion.stage2_trans=1"])
+def test_rotations_and_translations_move_apart_in_stage_2(capture, tmp_path, moving):
+    run(capture, tmp_path, moving, "motion.guard=false")
+    one, two = (load_tensors(tmp_path / f"stage{n}.pt")["motion"] for n in (1, 2))
+    turned, shifted = (not torch.equal(one[key], two[key]) for key in ("rotation_correction", "trans_correction"))
+    assert (turned, shifted) == (moving == "motion.stage2=1", moving == "motion.stage2_trans=1")
 
 
 def test_stage_2_never_sees_the_views_that_judge_it(capture, tmp_path, monkeypatch):
