@@ -64,15 +64,15 @@ def forget_pixel(run) -> None:
 
 
 def STUDIES() -> dict[str, list[Variant]]:
-    dyn = ["stage2.steps=300", "stage2.batch=3"]
-    batch = [*dyn, "encoder=unet_batchnorm", "encoder.width=16"]
+    dyn = ["stage2.steps=300", "stage2.batch=3", "stage2.lr_features=0", "encoder.width=16"]
+    group, batch = [*dyn, "encoder=unet"], [*dyn, "encoder=unet_batchnorm"]
     upstream = ["decoder=upstream", "decoder.scale_warmup=50", *STATIC]
     floor = ["decoder.scale_floor=0.4", *STATIC]
     antialiased = ["rasterizer=native", "rasterizer.antialiased=true", *STATIC]
     return {
         "batchnorm": [
-            Variant("U-Net, GroupNorm", dyn, stage=2, run="group"),
-            Variant("the same, stage 1", dyn, stage=1, run="group"),
+            Variant("U-Net, GroupNorm", group, stage=2, run="group"),
+            Variant("the same, stage 1", group, stage=1, run="group"),
             Variant("U-Net, BatchNorm, running statistics", batch, stage=2, run="batch"),
             Variant("U-Net, BatchNorm, statistics of the pose", batch, stage=2, run="batch", prepare=batch_statistics),
             Variant("decoder upstream, running statistics", upstream, run="upstream"),

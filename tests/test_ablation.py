@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +17,19 @@ from gavatar.config import check, compose_config
 from gavatar.registry import DECODERS, load_plugins
 from gavatar_runtime.errors import UserError
 
-SCRIPT = Path(__file__).parents[1] / "benchmarks" / "ablation.py"
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+
+
+def script(name):
+    spec = importlib.util.spec_from_file_location(name, BENCHMARKS / f"{name}.py")
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)  # where dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.fixture(scope="module")
 def ablation():
-    spec = importlib.util.spec_from_file_location("ablation", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("ablation")
 
 
 def configuration(ablation, preset, kind, *extra):
@@ -102,3 +107,14 @@ def test_scale_bounds_out_of_order_are_refused(options):
     load_plugins()
     with pytest.raises(UserError, match="scale_floor < scale_init < scale_limit"):
         DECODERS.build("mlp", options, in_channels=4)
+
+
+def test_the_studies_of_appearance_compose_and_its_u_nets_differ_in_their_norm_alone():
+    encoders = []
+    for study, variants in script("appearance").STUDIES().items():
+        for variant in variants:
+            config = check(compose_config(["capture=x", "experiment=demo", *variant.overrides]))
+            if study == "batchnorm" and config.stage2.steps:
+                encoders.append(dict(config.encoder))
+    assert {encoder.pop("norm") for encoder in encoders} == {"group", "batch"}
+    assert all(encoder == encoders[0] and encoder["name"] == "unet" for encoder in encoders)

@@ -13,6 +13,7 @@ import pytest
 
 from gavatar import registry as registries
 from gavatar.cli import list as listing
+from gavatar.config import check, compose_config
 from gavatar.extras import EXTRAS, extra_of, import_from_extra, requires_extra
 from gavatar_runtime.errors import UserError, exit_cleanly
 from gavatar_runtime.registry import Registry
@@ -263,6 +264,15 @@ def test_shipped_components_have_a_summary_and_name_their_distribution():
 
 
 # Extras
+
+
+@pytest.mark.parametrize("preset", ["default", "demo", "paper", "upstream"])
+def test_every_preset_takes_every_encoder_and_decoder(preset):
+    registries.load_plugins()
+    for registry in (registries.ENCODERS, registries.DECODERS):
+        for name in registry.names():
+            config = check(compose_config(["capture=x", f"experiment={preset}", f"{registry.group}={name}"]))
+            assert getattr(config, registry.group)["name"] == name
 
 
 def test_every_module_named_for_an_extra_is_one_that_pyproject_lists():
