@@ -52,18 +52,19 @@ class MotionConfig:
     """How the body motion is optimised. enabled: off gives the paper's baseline. lr: radians a step;
     lr_trans: metres a step. start, end: fractions of the stage between which it is optimised. joints: how many of the
     first joints are corrected. sharing: seconds over which neighbouring frames are corrected alike at the start (the
-    standard deviation of `gavatar.motion.shared_frames`; 0: each frame learns from its own images alone);
-    sharing_final: what it narrows to at the fraction sharing_end of the stage. guard: at the end of the stage, frames
-    whose refined pose renders worse than the estimated one get their estimate back. mend: fraction of the stage at
-    which frames that another pose (their estimate, or one made from it or from their neighbours) renders better by far
-    get that pose; 0: never. betas: the shape coefficients are optimised too, one vector for the capture, at the rate
-    lr_betas (standard deviations a step). stage2, stage2_trans: factors on lr and lr_trans in stage 2, 0 to leave the
-    poses as stage 1 refined them, as published."""
+    standard deviation of `gavatar.motion.shared_frames`; 0: each frame learns from its own images alone; never more
+    than an eighth of the time that the training frames cover); sharing_final: what it narrows to at the fraction
+    sharing_end of the stage. guard: at the end of the stage, frames whose refined pose renders worse than the
+    estimated one get their estimate back. mend: fraction of the stage at which frames that another pose (their
+    estimate, or one made from it or from their neighbours) renders better by far get that pose; 0: never. betas:
+    the shape coefficients are optimised too, one vector for the capture, at the rate lr_betas (standard deviations
+    a step). stage2, stage2_trans: factors on lr and lr_trans in stage 2, 0 to leave the poses as stage 1 refined
+    them, as published."""
 
     enabled: bool = True
     lr: float = 1.0e-2
     lr_trans: float = 4.0e-3
-    start: float = 0.0
+    start: float = 0.05
     end: float = 1.0
     joints: int = 22
     sharing: float = 0.8

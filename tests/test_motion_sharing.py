@@ -94,6 +94,14 @@ def test_the_width_narrows_over_the_stage():
     assert sharing_width(MotionConfig(sharing=0.8, sharing_final=0.0, sharing_end=0.0), 0.0) == 0
 
 
+def test_a_short_capture_is_not_corrected_as_one_frame():
+    motion = MotionConfig(sharing=0.8, sharing_final=0.5, sharing_end=0.5)
+    # 1.6 seconds: an eighth is 0.2, at the start and at the end
+    assert [sharing_width(motion, p, 1.6) for p in (0.0, 0.25, 1.0)] == pytest.approx([0.2, 0.2, 0.2])
+    assert sharing_width(motion, 0.0, 100.0) == 0.8
+    assert sharing_width(motion, 0.0, 0.0) == 0  # one frame
+
+
 @pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
 def test_an_impossible_width_is_refused(value):
     with pytest.raises(UserError, match=r"motion\.sharing must be"):
@@ -150,13 +158,14 @@ def test_a_motion_terms_pull_on_a_shown_frame_does_not_hang_on_how_many_frames_t
 def test_training_moves_the_frames_between_those_shown(tmp_path):
     capture = write_tiny_capture(tmp_path / "capture")
     base = [f"capture={capture}", *SMALL, "stage1.steps=1", "stage1.batch=1", "stage2.steps=0", "motion.guard=false"]
+    base.append("motion.start=0")
     moved = []
     for width in (0, 0.8):
         out = tmp_path / f"run{width}"
         trainer = train(compose_config([*base, f"out={out}", f"motion.sharing={width}"]), out)
         moved.append((trainer.motion.rotation_correction != 0).any(-1).any(-1))
     assert moved[0].sum() == 1
-    assert moved[1].sum() == 6  # the tiny capture's six training frames lie within half a second
+    assert moved[1].sum() == 3  # six successive frames: the shown one and, an eighth of their time away, its neighbours
     assert not moved[1][trainer.frames[-1] + 1 :].any()  # held-out frames never move
 
 

@@ -22,10 +22,15 @@ def lr_factor(stage: StageConfig, step: int) -> float:
     return stage.lr_final + (1 - stage.lr_final) * 0.5 * (1 + math.cos(math.pi * min(1.0, fraction)))
 
 
-def sharing_width(motion: MotionConfig, progress: float) -> float:
-    """Seconds over which frames share their corrections' gradient: linear from `sharing` to `sharing_final`."""
+SHARED_AT_MOST = 1 / 8  # of the time that a capture covers: more would correct all of a short one as one frame
+
+
+def sharing_width(motion: MotionConfig, progress: float, span: float = math.inf) -> float:
+    """Seconds over which frames share their corrections' gradient: linear from `sharing` to `sharing_final`, neither
+    more than an eighth of the `span` of the training frames, seconds."""
     share = min(1.0, progress / motion.sharing_end) if motion.sharing_end > 0 else 1.0
-    return motion.sharing + (motion.sharing_final - motion.sharing) * share
+    start, end = (min(width, SHARED_AT_MOST * span) for width in (motion.sharing, motion.sharing_final))
+    return start + (end - start) * share
 
 
 def batch_rows(seed: int, count: int, batch: int, step: int) -> list[int]:

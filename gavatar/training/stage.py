@@ -265,7 +265,8 @@ class Stage:
         trainer, options = self.trainer, self.trainer.config.motion
         frames = torch.tensor(trainer.frames, device=trainer.device)
         at = torch.tensor([trainer._frame_row[frame] for frame in shown], device=trainer.device)
-        width = sharing_width(options, progress if self.number == 1 else 1.0)
+        span = (trainer.frames[-1] - trainer.frames[0]) / trainer.motion.fps
+        width = sharing_width(options, progress if self.number == 1 else 1.0, span)
         rows, kernel = shared_frames(frames / trainer.motion.fps, at, width)
         own = {p: leaf.grad for p, leaf in self.motion_leaves.items() if leaf.grad is not None}
         self.motion_optimizer.step(frames[rows], kernel, own)
