@@ -64,7 +64,7 @@ class MotionConfig:
     enabled: bool = True
     lr: float = 1.0e-2
     lr_trans: float = 4.0e-3
-    start: float = 0.05
+    start: float = 0.02
     end: float = 1.0
     joints: int = 22
     sharing: float = 0.8
