@@ -32,14 +32,20 @@ struct Isa {
   const Kernels* kernels;
   bool (*supported)();
 };
+#if defined(__x86_64__) && !defined(GV_BASELINE_ONLY)
+bool supports_avx2() {  // with all that setup.py lets the compiler use
+  return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi") &&
+         __builtin_cpu_supports("bmi2");
+}
+#endif
 const Isa ISAS[] = {
 #if defined(__x86_64__) && !defined(GV_BASELINE_ONLY)
     {"sse4", &kernels_sse4, [] { return __builtin_cpu_supports("sse4.1") != 0; }},
-    {"avx2", &kernels_avx2, [] { return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"); }},
+    {"avx2", &kernels_avx2, supports_avx2},
     {"avx512", &kernels_avx512,
      [] {
        return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-              __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("fma");
+              __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") && supports_avx2();
      }},
 #else
     {"baseline", &kernels_baseline, [] { return true; }},
