@@ -60,7 +60,7 @@ def spoilt(arrays: dict[str, np.ndarray], groups: dict[str, list[int]], seed: in
             turn = matrix_from_axis_angle(TURN * axis / np.linalg.norm(axis))
             poses[frame, joint] = axis_angle_from_matrix(matrix_from_axis_angle(poses[frame, joint]) @ turn)
     names = list(BODY)
-    other = [names.index(other_side(name)) for name in names]
+    other = [names.index(other_side(name, names)) for name in names]
     for frame in groups["swapped"]:
         limbs = slice(1, SMPL_BODY_JOINTS)
         poses[frame, limbs] = (poses[frame, other] * [1, -1, -1])[limbs]  # mirrored: x is to the person's left

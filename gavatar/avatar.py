@@ -184,9 +184,13 @@ class Avatar(nn.Module):
             return moved, coefficients.new_zeros(len(coefficients), len(self.skeleton.parents), 3)
         if self._expressions is None or self._expressions[0] is not self.surface:
             known = expression_of(self.skeleton.data, self.surface)
-            tensors = (torch.as_tensor(a).to(coefficients.device) for a in (known.rows, known.directions, known.joints))
-            self._expressions = (self.surface, *tensors)
-        _, rows, directions, joints = self._expressions
+            self._expressions = (
+                self.surface, *(torch.as_tensor(a) for a in (known.rows, known.directions, known.joints))
+            )  # fmt: skip
+        # where the avatar is at present: it may have been moved
+        surface, *tensors = self._expressions
+        rows, directions, joints = (tensor.to(coefficients.device) for tensor in tensors)
+        self._expressions = (surface, rows, directions, joints)
         moved[:, rows] = torch.einsum("be,nce->bnc", coefficients, directions[..., :used].to(coefficients.dtype))
         return moved, torch.einsum("be,jce->bjc", coefficients, joints[..., :used].to(coefficients.dtype))
 
@@ -196,6 +200,8 @@ class Avatar(nn.Module):
         count = len(change)
         if self._shapes is None or self._shapes[0] is not self.surface or self._shapes[1].shape[-1] != count:
             known = shape_of(self.skeleton.data, self.surface, count)
-            self._shapes = (self.surface, *(torch.as_tensor(d, dtype=change.dtype).to(change.device) for d in known))
-        _, points, joints = self._shapes
+            self._shapes = (self.surface, *(torch.as_tensor(d) for d in known))
+        surface, *tensors = self._shapes
+        points, joints = (tensor.to(change) for tensor in tensors)
+        self._shapes = (surface, points, joints)
         return points @ change, joints @ change

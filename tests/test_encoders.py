@@ -255,7 +255,8 @@ def test_a_motion_without_movement_prepares(surface):
 @pytest.mark.parametrize(
     ("options", "message"),
     [({"order": 3}, "order must be 0"), ({"order": 0, "bases": 0}, "encoder=none"), ({"bases": -1}, "bases"),
-     ({"map_size": 32}, "at least 64"), ({"reach": -1}, "negative"), ({"beyond": -0.1}, "negative")],
+     ({"map_size": 32}, "from 64 to 1024"), ({"map_size": 100_000}, "from 64 to 1024"), ({"reach": -1}, "negative"),
+     ({"beyond": -0.1}, "negative")],
 )  # fmt: skip
 def test_impossible_options_are_one_sentence(options, message):
     with pytest.raises(UserError, match=message):

@@ -58,6 +58,13 @@ def runs(tmp_path_factory):
     return opened
 
 
+def test_a_run_of_one_frame_exports_with_measured_tiers(tmp_path):
+    capture = write_tiny_capture(tmp_path / "one", frames=(20,), test=(), novel=())
+    train(compose_config([f"capture={capture}", f"out={tmp_path / 'run'}", *SMALL]), tmp_path / "run")
+    manifest = export(open_run(tmp_path / "run"), tmp_path / "a.gavatar", tiers=["baked"])
+    assert all(0 < tier["frame_ms"] < np.inf for tier in manifest.tiers)
+
+
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_the_played_avatar_is_the_trained_one(runs, variant, tmp_path):
     run = runs[variant]

@@ -55,6 +55,10 @@ def test_a_jump_is_mended_and_the_frames_around_it_are_not_touched(capture, tmp_
     assert off_by(trainer)[JUMPED] < 0.03
 
 
+def test_the_end_of_the_stage_is_a_time_to_mend(capture, tmp_path):
+    assert "frames_mended" in run(capture, tmp_path, "motion.mend=1", "stage1.steps=2").verdicts
+
+
 def test_without_mending_the_jump_stays(capture, tmp_path):
     assert off_by(run(capture, tmp_path))[JUMPED] > 0.1
 
@@ -127,7 +131,8 @@ def test_exchanging_twice_is_nothing_and_a_mirror_mirrors():
     assert torch.allclose(matrix_from_axis_angle(once)[:, left], matrix_from_axis_angle(
         vectors[:, right] * torch.tensor([1.0, -1, -1])), atol=1e-5)  # fmt: skip
     assert torch.equal(exchanged(rotations, names)[:, 0], rotations[:, 0])
-    assert [other_side(name) for name in ("left_hip", "right_hip", "spine1")] == ["right_hip", "left_hip", "spine1"]
+    there = ("left_hip", "right_hip", "spine1", "left_wing")
+    assert [other_side(name, there) for name in there] == ["right_hip", "left_hip", "spine1", "left_wing"]
 
 
 def test_forgotten_rows_start_afresh():

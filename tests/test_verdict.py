@@ -51,7 +51,7 @@ def test_the_guard_reports_the_frames_it_refused(capture, tmp_path):
     assert not opened.motion.rotation_correction[refused].any()
 
 
-def test_dynamics_that_do_not_pay_leave_a_static_avatar(capture, tmp_path):
+def test_dynamics_that_do_not_pay_leave_a_static_avatar(capture, tmp_path, monkeypatch):
     trainer = run(capture, tmp_path, "dynamics=auto", "dynamics_gain=50")
     verdict = trainer.verdicts["dynamics"]
     assert not verdict["kept"]
@@ -59,6 +59,10 @@ def test_dynamics_that_do_not_pay_leave_a_static_avatar(capture, tmp_path):
     assert (tmp_path / REFUSED).exists()
     assert not (tmp_path / "stage2.pt").exists()
     assert open_run(tmp_path).avatar.encoder is None
+    # the same command again: what was judged is not judged anew
+    monkeypatch.setattr("gavatar.training.stage.view_errors", lambda *a, **k: pytest.fail("judged again"))
+    assert run(capture, tmp_path, "dynamics=auto", "dynamics_gain=50").verdicts["dynamics"] == verdict
+    assert not (tmp_path / "stage2.pt").exists()
 
 
 def test_dynamics_that_do_not_pay_give_the_poses_of_stage_1_back(capture, tmp_path):

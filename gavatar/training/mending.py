@@ -45,10 +45,10 @@ def between(table: MotionTable, frames: list[int], reach: float) -> dict[int, tu
     return found
 
 
-def other_side(name: str) -> str:
-    """The joint on the person's other side, the joint itself where there is none."""
+def other_side(name: str, names: Sequence[str]) -> str:
+    """That of the joints `names` on the person's other side, the joint itself where there is none."""
     for side, other in (("left_", "right_"), ("right_", "left_")):
-        if name.startswith(side):
+        if name.startswith(side) and other + name.removeprefix(side) in names:
             return other + name.removeprefix(side)
     return name
 
@@ -56,7 +56,7 @@ def other_side(name: str) -> str:
 def exchanged(rotations: Tensor, names: Sequence[str]) -> Tensor:
     """Local rotations (..., J, 3, 3) with left and right exchanged: the pose in a mirror (x is to the left), the
     root as it was. names: of the joints."""
-    partner = [names.index(other_side(name)) for name in names]
+    partner = [names.index(other_side(name, names)) for name in names]
     mirror = torch.diag(rotations.new_tensor([-1.0, 1, 1]))
     out = mirror @ rotations[..., partner, :, :] @ mirror
     out[..., 0, :, :] = rotations[..., 0, :, :]

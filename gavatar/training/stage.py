@@ -56,7 +56,8 @@ class Stage:
         options = trainer.config.motion
         shares = (1.0, 1.0) if number == 1 else (options.stage2, options.stage2_trans)
         self.moves = options.enabled and max(shares) > 0
-        self.mends = self.moves and number == 1 and options.mend > 0
+        mends = self.moves and number == 1 and options.mend > 0
+        self.mend_step = min(round(options.mend * self.config.steps), self.config.steps - 1) if mends else None
         self.motion_lr = (shares[0] * options.lr, shares[1] * options.lr_trans)
         self.motion_optimizer = RowAdam(
             [
@@ -152,13 +153,15 @@ class Stage:
         prepare(surface, seen, *trainer.pose_inputs(frames))
 
     def _judged(self) -> str:
-        """The file that this stage's result goes to; with dynamics=auto, not stage2.pt if it does not pay."""
+        """The file that this stage's result goes to; with dynamics=auto, not stage2.pt if it does not pay. A stage that
+        was judged before keeps its verdict: the guard has chosen poses since, by the views that judge."""
         trainer = self.trainer
         if not self.held_out:
             return STAGE_FILES[self.number]
-        dynamic = view_errors(trainer, self.held_out, 2)
-        verdict = dynamics_verdict(np.array(trainer.verdicts["static_errors"]), dynamic, trainer.config.dynamics_gain)
-        trainer.verdicts["dynamics"] = verdict
+        if "dynamics" not in trainer.verdicts:
+            static, dynamic = np.array(trainer.verdicts["static_errors"]), view_errors(trainer, self.held_out, 2)
+            trainer.verdicts["dynamics"] = dynamics_verdict(static, dynamic, trainer.config.dynamics_gain)
+        verdict = trainer.verdicts["dynamics"]
         if verdict["kept"]:
             return STAGE_FILES[2]
         log.warning(
@@ -222,12 +225,7 @@ class Stage:
     def _step(self, step: int) -> dict[str, float]:
         trainer, config = self.trainer, self.trainer.config
         data, progress = self._prepare(step)
-        if (
-            self.moves
-            and self.number == 1
-            and config.motion.mend
-            and step == round(config.motion.mend * self.config.steps)
-        ):
+        if step == self.mend_step:
             self._mend(level_at(self.config, step).image)
         drawn = batch_rows(config.seed + self.number, len(self.rows), self.config.batch, step)
         rows = [self.rows[r] for r in drawn]

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from gavatar.registry import ENCODERS
+from gavatar.surface import check_resolution
 from gavatar_runtime.body import SMPL_BODY_JOINTS
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.surface import Surface
@@ -162,9 +163,10 @@ def _carried(surface: Surface) -> Tensor:
 def _check(config: LinearConfig) -> None:
     if config.order not in (0, 1, 2):
         raise UserError(f"encoder.order must be 0 (no light), 1 or 2, not {config.order}")
-    if config.bases < 0 or not (config.order or config.bases):
+    if config.bases < 0:
+        raise UserError(f"encoder.bases must not be negative, not {config.bases}")
+    if not (config.order or config.bases):
         raise UserError("encoder.order and encoder.bases are both 0, so nothing is left to learn: use encoder=none")
-    if config.map_size < 64:
-        raise UserError(f"encoder.map_size must be at least 64, not {config.map_size}")
+    check_resolution(config.map_size, "encoder.map_size")
     if config.reach < 0 or config.beyond < 0:
         raise UserError("encoder.reach and encoder.beyond must not be negative")
