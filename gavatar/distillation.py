@@ -113,9 +113,11 @@ def _bases(residuals: np.ndarray, part: np.ndarray, rank: int) -> tuple[np.ndarr
     coefficients = np.zeros((poses, count, rank), np.float32)
     bases = np.zeros((len(part), rank, 7), np.float32)
     for p in range(count):
-        c, basis = _principal(residuals[:, part == p].reshape(poses, -1), rank)
+        own = np.flatnonzero(part == p)
+        c, basis = _principal(residuals[:, own].reshape(poses, -1), rank)
         coefficients[:, p, : c.shape[1]] = c
-        bases[part == p, : len(basis)] = basis.reshape(len(basis), -1, 7).swapaxes(0, 1)
+        # none, where no pose changes the part
+        bases[own, : len(basis)] = basis.reshape(len(basis), len(own), 7).swapaxes(0, 1)
     return coefficients.reshape(poses, -1), bases
 
 

@@ -61,7 +61,7 @@ def verify(path: Path, run: Run, poses: int = 8) -> ExportCheck:
     if played.expression is not None and motion.expression is None:
         made_up = np.sin(np.arange(len(motion))[:, None] + np.arange(played.expression.count))
         motion = dataclasses.replace(motion, expression=made_up.astype(np.float32))
-    frames = sorted({view.frame for view in run.capture.views("train")})
+    frames = sorted({view.frame for view in run.capture.views(run.config.train_split)})
     frames = [frames[i] for i in evenly_spaced(len(frames), poses)]
     errors = []
     for frame in frames:

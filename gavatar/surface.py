@@ -23,8 +23,8 @@ __all__ = [
     "positional_map", "sample_surface", "save_surface",
 ]  # fmt: skip
 
-# At 64 the free body has 2,850 points, 26 mm apart; at 32 it had 777, 54 mm apart, and fingers without any. At 1024 it
-# has 646,000.
+# At 64 the free body has 2,850 points, 26 mm apart; at 32 it would have 777, 54 mm apart, and fingers without any. At
+# 1024 it has 646,000.
 MIN_RESOLUTION, MAX_RESOLUTION = 64, 1024
 MAX_WEIGHTS = 8
 ORDERS = ("morton", "row")

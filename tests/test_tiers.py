@@ -12,7 +12,7 @@ import torch
 from tiny_capture import SMALL, write_tiny_capture
 from torch import nn
 
-from gavatar.distillation import _fit_turns, distil
+from gavatar.distillation import _bases, _fit_turns, distil
 from gavatar.export import export, on_front
 from gavatar.graphs import bilinear, subpixel
 from gavatar.registry import TIERS, load_plugins
@@ -628,6 +628,17 @@ def test_body_parts_without_points_keep_the_others_bases_in_place(run, monkeypat
     assert cut["near"].any(1).all()  # every part hangs on some joint
     steps = [a["basis"] * a["gains"][a["part"]][:, None, :, None] for a in (cut, all_of_it)]
     np.testing.assert_allclose(steps[0], steps[1][kept], atol=all_of_it["gains"].max())  # half a step of int8 each
+
+
+def test_a_part_that_no_pose_changes_has_bases_of_zero():
+    residuals = np.random.default_rng(0).normal(size=(9, 7, 7)).astype(np.float32)
+    part = np.array([0, 1, 0, 1, 1, 2, 0])
+    residuals[:, part == 1] = 0  # as where no training view saw it
+    coefficients, bases = _bases(residuals, part, 4)
+    assert (coefficients.shape, bases.shape) == ((9, 12), (7, 4, 7))
+    assert not coefficients[:, 4:8].any()
+    assert not bases[part == 1].any()
+    assert bases[part != 1].any()
 
 
 # looks that depend on where surfaces face

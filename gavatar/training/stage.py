@@ -102,7 +102,9 @@ class Stage:
             self._prepare_encoder()
         if self.held_out and "static_errors" not in trainer.verdicts:
             trainer.avatar.sample_at(trainer.built.surface(trainer.config.stage1.levels[-1].uv))
-            trainer.verdicts["static_errors"] = view_errors(trainer, self.held_out, 1).tolist()
+            # of images of the size that this stage is judged by: errors of smaller ones are smaller
+            errors = view_errors(trainer, self.held_out, 1, image=self.config.levels[-1].image)
+            trainer.verdicts["static_errors"] = errors.tolist()
         bar = tqdm(
             total=steps, initial=start, desc=f"stage {self.number}", unit="step", disable=not trainer.config.progress
         )
