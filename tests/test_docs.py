@@ -1,8 +1,9 @@
-"""README, docs/ and deploy/README.md against the code: links, files, tests, options and overrides that they name."""
+"""The pages against the code: links, files, tests, options and overrides that they name."""
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import importlib
 import io
 import re
@@ -12,11 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from gavatar.config import check, compose_config
+from gavatar.config import MotionConfig, TrainConfig, check, compose_config
 from gavatar.registry import load_plugins
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "deploy/README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES += sorted((ROOT / "gavatar/data").glob("*/README.md"))
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 COMMANDS = {
     "gavatar-demo": "gavatar.cli.demo",
@@ -115,6 +117,14 @@ def test_overrides_that_are_shown_compose(page):
         keys = {re.split(r"[.=]", w.lstrip("+"))[0] for w in overrides} - {"experiment"}
         if keys <= set(root):
             check(compose_config(["capture=x", *overrides]))
+
+
+def test_every_option_of_a_run_is_named():
+    text = "\n".join(prose(page) for page in PAGES)
+    options = [f.name for f in dataclasses.fields(TrainConfig)]
+    options += [f"motion.{f.name}" for f in dataclasses.fields(MotionConfig)]
+    beside = {"motion.sharing_final", "motion.sharing_end"}  # named beside motion.sharing
+    assert [o for o in options if o not in beside and not re.search(rf"\b{re.escape(o)}\b", text)] == []
 
 
 def test_every_figure_is_shown():
