@@ -80,7 +80,8 @@ class MotionConfig:
 
 @dataclasses.dataclass
 class TrainConfig:
-    """Everything a run needs. capture: directory. out: run directory. background: `random` colour each step, `white`
+    """Everything a run needs. capture: directory. out: run directory. train_split: of the capture, what is trained on.
+    background: `random` colour each step, `white`
     or `black`. crop: render only the window in which the person moves. preview_every, checkpoint_every: steps.
     precision: of the decoder's products while training, `float32`, `bfloat16` or `auto`, the faster one here.
     overwrite: start afresh even if `out` holds another run. mask_edge: pixels inside the border of every mask that no

@@ -281,15 +281,17 @@ def joints_of(built: AvatarBuild, motion: Motion, frames: Sequence[int]) -> np.n
     return (skeleton.posed_joints(rotations) + trans[:, None]).cpu().numpy()
 
 
-def evaluation_plan(capture: Capture, splits: Sequence[str] | None, fit: bool) -> list[tuple[str, str, list[View]]]:
+def evaluation_plan(
+    capture: Capture, splits: Sequence[str] | None, fit: bool, train_split: str
+) -> list[tuple[str, str, list[View]]]:
     """(split, poses, views) rows worth having: training views with refined poses; held-out ones with true poses where
     the capture has them, else the estimated ones, and fitted; other cameras with true poses or, for trained frames,
-    refined ones."""
-    trained = {view.frame for view in capture.views("train")}
+    refined ones. train_split: that of the training views."""
+    trained = {view.frame for view in capture.views(train_split)}
     plan = []
     for split in splits or [s for s, views in capture.splits.items() if views]:
         views = capture.views(split)
-        if split == "train":
+        if split == train_split:
             plan.append((split, "refined", views))
             continue
         plan.append((split, "true" if capture.truth is not None else "estimated", views))
@@ -357,7 +359,7 @@ def evaluate(
     capture = run.capture
     sources = {"refined": run.motion.motion(), "estimated": capture.motion, "true": capture.truth}
     rows, pictures = [], []
-    for split, poses, views in evaluation_plan(capture, splits, fit_steps > 0):
+    for split, poses, views in evaluation_plan(capture, splits, fit_steps > 0, run.config.train_split):
         motion = evaluator.fit(views, fit_steps) if poses == "fitted" else sources[poses]
         rows.append(evaluator.score(split, poses, views, motion))
         worst = rows[-1].worst.view
@@ -365,7 +367,7 @@ def evaluate(
         pictures.append((color + (1 - alpha[..., None]), evaluator.render(worst, motion)))
     result = Evaluation(run, rows, pictures, name)
     if capture.truth is not None:
-        frames = sorted({view.frame for view in capture.views("train")})
+        frames = sorted({view.frame for view in capture.views(run.config.train_split)})
         result.estimated_mpjpe_mm = motion_errors(run.built, capture.motion, capture.truth, frames)
         result.estimated_parts = part_errors(run.built, capture.motion, capture.truth, frames)
     return result
