@@ -42,7 +42,7 @@ def test_every_row_says_which_poses_were_rendered(result):
 
 def test_the_split_that_was_trained_is_rendered_with_refined_poses(tmp_path):
     capture = write_tiny_capture(tmp_path / "tiny")
-    settings = [f"capture={capture}", f"out={tmp_path / 'run'}", *SMALL, "encoder=none", "train_split=test"]
+    settings = [f"capture={capture}", f"out={tmp_path / 'run'}", *SMALL, "stage2.steps=0", "train_split=test"]
     train(compose_config(settings), tmp_path / "run")
     found = evaluate(open_run(tmp_path / "run"), fit_steps=0, perceptual=False, progress=False)
     assert {(r.split, r.poses) for r in found.rows} == {("train", "true"), ("test", "refined"), ("novel_pose", "true")}

@@ -117,9 +117,10 @@ class Stage:
                 bar.set_postfix({k: f"{v:.4f}" for k, v in losses.items() if k in ("total", "l1", "ssim")})
                 trainer.log({"stage": self.number, "step": step, "losses": {k: float(v) for k, v in losses.items()}})
             if not np.isfinite(losses["total"]):
+                rates = f"stage{self.number}.lr_decoder or motion.lr"
+                rates += "" if self.shape is None else " or motion.lr_betas"
                 raise UserError(
-                    f"stage {self.number} diverged at step {step}: the loss is {losses['total']}; "
-                    f"lower stage{self.number}.lr_decoder or motion.lr"
+                    f"stage {self.number} diverged at step {step}: the loss is {losses['total']}; lower {rates}"
                 )
             if (step + 1) % trainer.config.checkpoint_every == 0 and not last:
                 trainer.seconds[self.number] += time.perf_counter() - clock
