@@ -14,31 +14,15 @@ from gavatar_runtime import native_library as nl
 from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.gaussians import Gaussians, Rendering
-from gavatar_runtime.rasterizers.native import FAST_BLOCK_STOP, check_switches, reduced
-from gavatar_runtime.rasterizers.rules import TRANSMITTANCE_STOP
+from gavatar_runtime.rasterizers.native_options import NativeOptions
 
 SPARE_FRAMES = 16  # frames whose memory waits for the next forward; a batch has fewer
 
 
 @dataclasses.dataclass
-class NativeRasterizerConfig:
-    """threads: of the kernel's pool, 0 for as many as the process has cores (the pool is shared by the process).
-
-    What follows changes the picture, as in the player's options of the same names (docs/splatting.md); gradients are
-    those of the picture that was drawn. fast: a cheaper exponential and an earlier end of blocks. backface: a cosine,
-    0 for off. depth_cut: metres, 0 for off. resolution: part of width and height that is drawn, then enlarged. A bundle
-    keeps them and is played with them (`rasterizers.SWITCHES`), all but `resolution`.
-    """
-
-    threads: int = 0
-    fast: bool = False
-    backface: float = 0.0
-    depth_cut: float = 0.0
-    resolution: float = 1.0
-    antialiased: bool = False
-
-    def __post_init__(self):
-        check_switches(self)
+class NativeRasterizerConfig(NativeOptions):
+    """The player's options. Those that change the picture change its gradients with it. A bundle keeps them and is
+    played with them (`rasterizers.SWITCHES`), all but `threads` and `resolution`."""
 
 
 @RASTERIZERS.register(
@@ -77,7 +61,7 @@ class NativeRasterizer:
         inputs = (*fields, background)
         keep = torch.is_grad_enabled() and any(x is not None and x.requires_grad for x in inputs)
         normals = _checked_normals(gaussians) if self.wants_normals else None
-        small = reduced(camera, self.config.resolution)
+        small = self.config.drawn_by(camera)
         color, alpha, depth = _Splat.apply(*inputs, normals, small, self, report, keep)
         if small is not camera:
             color, alpha, depth = _enlarged(color, alpha, depth, camera)
@@ -160,12 +144,9 @@ class _Splat(torch.autograd.Function):
     @staticmethod
     def forward(ctx, means, scales, colors, opacities, quaternions, background, normals, camera, owner, report, keep):
         fields = [None if x is None else x.contiguous() for x in (means, scales, colors, opacities, quaternions)]
-        lease, config = _Lease(owner), owner.config
+        lease = _Lease(owner)
         struct, camera_struct = _struct(fields, normals), nl.camera_struct(camera)
-        options = nl.OptionsStruct(
-            (ctypes.c_float * 3)(*background.tolist()), TRANSMITTANCE_STOP, FAST_BLOCK_STOP, int(keep),
-            int(config.fast), int(config.antialiased), config.backface, config.depth_cut,
-        )  # fmt: skip
+        options = owner.config.struct(background.tolist(), keep=keep)
         color = torch.empty((camera.height, camera.width, 3))
         alpha, depth = (torch.empty((camera.height, camera.width)) for _ in range(2))
         images = nl.ImagesStruct(_pointer(color), _pointer(alpha), _pointer(depth), None)

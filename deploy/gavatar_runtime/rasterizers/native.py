@@ -10,51 +10,19 @@ import numpy as np
 
 from .. import native_library as nl
 from ..camera import Camera
-from ..errors import UserError
 from ..gaussians import Gaussians, Rendering
 from ..native_library import available
 from . import PLAYER_RASTERIZERS
-from .rules import TRANSMITTANCE_STOP
+from .native_options import NativeOptions
 
-__all__ = ["FAST_BLOCK_STOP", "NativeConfig", "NativeRasterizer", "available"]
-
-FAST_BLOCK_STOP = 4e-3  # transmittance: what is left to come moves a color by at most half a step of eight bits
+__all__ = ["NativeConfig", "NativeRasterizer", "available"]
 
 
 @dataclasses.dataclass
-class NativeConfig:
-    """threads: of the kernel's pool, 0 for as many as the process has cores (the pool is shared by the process).
-    depth: compute the depth image; without it `Rendering.depth` is None.
+class NativeConfig(NativeOptions):
+    """As in training, and depth: compute the depth image; without it `Rendering.depth` is None."""
 
-    What follows trades exactness for speed or looks; docs/splatting.md has what each costs and gains.
-    fast: a cubic exponential, and 4x4 blocks that end once no pixel lets 4e-3 through instead of 1e-4.
-    backface: above 0, leave out Gaussians whose normal turns away from the camera by a cosine below -backface, if the
-    Gaussians have normals. depth_cut: above 0, leave out what lies more than so many metres behind the nearest Gaussian
-    of its 32x32 tile. resolution: below 1, draw at so large a part of width and height, then upsample linearly.
-    antialiased: opacities times sqrt(det S / det(S + low-pass)), S the 2D covariance (Mip-Splatting, Yu et al. 2024,
-    section 4.2, as in gsplat): small Gaussians do not grow brighter with distance. An avatar trained with it wants it.
-    """
-
-    threads: int = 0
     depth: bool = True
-    fast: bool = False
-    backface: float = 0.0
-    depth_cut: float = 0.0
-    resolution: float = 1.0
-    antialiased: bool = False
-
-    def __post_init__(self):
-        check_switches(self)
-
-
-def check_switches(config) -> None:
-    """UserError where a switch is out of its range."""
-    if not 0 <= config.backface < 1:
-        raise UserError(f"rasterizer.backface must be a cosine in [0, 1), 0 for off, got {config.backface}")
-    if not 0 <= config.depth_cut < 1e30:
-        raise UserError(f"rasterizer.depth_cut must be metres, 0 for off, got {config.depth_cut}")
-    if not 0 < config.resolution <= 1:
-        raise UserError(f"rasterizer.resolution must be in (0, 1], 1 for off, got {config.resolution}")
 
 
 @PLAYER_RASTERIZERS.register("native", config=NativeConfig, summary="exact, compiled, many times faster than numpy")
@@ -84,7 +52,7 @@ class NativeRasterizer:
 
     def render(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
         """The frame as float32: color (H, W, 3), alpha (H, W), depth (H, W) metres. background: (3,) in [0, 1]."""
-        small = reduced(camera, self.config.resolution)
+        small = self.config.drawn_by(camera)
         size = (small.height, small.width)
         color, alpha = self._buffer("color", (*size, 3)), self._buffer("alpha", size)
         depth = self._buffer("depth", size) if self.config.depth else None
@@ -98,7 +66,7 @@ class NativeRasterizer:
 
     def render_uint8(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> np.ndarray:
         """(H, W, 3) uint8, the color of `render` clipped to [0, 1] and rounded; alpha and depth are not computed."""
-        small = reduced(camera, self.config.resolution)
+        small = self.config.drawn_by(camera)
         color8 = self._buffer("color8", (small.height, small.width, 3), np.uint8)
         self._forward(gaussians, small, background, color8=color8)
         return color8 if small is camera else self._enlarged("color8", color8, camera)
@@ -119,28 +87,13 @@ class NativeRasterizer:
     def _forward(self, gaussians: Gaussians, camera: Camera, background, **images) -> None:
         arrays, struct = gaussians_struct(gaussians)
         camera_struct = nl.camera_struct(camera)
-        r, g, b = (float(x) for x in background)
-        options = nl.OptionsStruct(
-            (ctypes.c_float * 3)(r, g, b), TRANSMITTANCE_STOP, FAST_BLOCK_STOP, 0, int(self.config.fast),
-            int(self.config.antialiased), self.config.backface, self.config.depth_cut,
-        )  # fmt: skip
+        options = self.config.struct(background)
         outputs = nl.ImagesStruct(**{k: None if v is None else v.ctypes.data for k, v in images.items()})
         report = self._report
         pointers = (ctypes.byref(x) for x in (struct, camera_struct, options, outputs, report))
         nl.check(self._lib.gv_forward(self._frame.handle, *pointers))
         del arrays  # alive until here
         self.stage_seconds = {"project": report.project_s, "sort": report.sort_s, "blend": report.blend_s}
-
-
-def reduced(camera: Camera, resolution: float) -> Camera:
-    """The camera of an image `resolution` times as wide and high, in whole pixels, at least one; itself at 1."""
-    if resolution == 1:
-        return camera
-    width, height = (max(1, round(resolution * pixels)) for pixels in (camera.width, camera.height))
-    x, y = width / camera.width, height / camera.height
-    return dataclasses.replace(
-        camera, width=width, height=height, fx=camera.fx * x, fy=camera.fy * y, cx=camera.cx * x, cy=camera.cy * y
-    )
 
 
 def resize(image: np.ndarray, out: np.ndarray) -> None:
