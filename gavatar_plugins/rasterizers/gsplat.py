@@ -36,11 +36,21 @@ class GsplatRasterizerConfig:
             raise UserError(f"rasterizer.tile_size must be one of {TILE_SIZES} for gsplat, got {self.tile_size}")
 
 
+def _missing() -> str:
+    """Why it cannot be had here, as far as can be told without compiling; '' if nothing speaks against it."""
+    try:
+        _package()
+    except UserError as error:
+        return str(error)
+    return ""
+
+
 @RASTERIZERS.register(
     "gsplat",
     config=GsplatRasterizerConfig,
     summary="differentiable, compiled for CUDA by the gsplat package",
     needs="pip install 'gavatar[gpu]', a CUDA device and, at first use, nvcc",
+    missing=_missing,
 )
 class GsplatRasterizer:
     """Splatting of float32 CUDA tensors, with gradients to every field and to the background.
@@ -127,13 +137,7 @@ def _check(gaussians: Gaussians) -> None:
 
 def _load():
     """`gsplat.rasterization` with its kernels in memory, compiled if need be; UserError for what is missing."""
-    gsplat = import_from_extra("gsplat", "rasterizer=gsplat")
-    if tuple(int(part) for part in gsplat.__version__.split(".")[:2]) < OLDEST:
-        raise UserError(
-            f"rasterizer=gsplat needs gsplat 1.5 or later, found {gsplat.__version__}: pip install -U gsplat"
-        )
-    if not torch.cuda.is_available():
-        raise UserError("rasterizer=gsplat needs a CUDA device, and torch sees none: use rasterizer=auto")
+    gsplat = _package()
     try:
         from gsplat.cuda._backend import _C as kernels
     except (ImportError, OSError, RuntimeError, subprocess.CalledProcessError) as error:
@@ -142,3 +146,15 @@ def _load():
     if kernels is None:
         raise UserError("rasterizer=gsplat: gsplat has no compiled kernels and found no nvcc to compile them with")
     return gsplat.rasterization
+
+
+def _package():
+    """The package, where it is new enough and there is a device for it; else UserError."""
+    gsplat = import_from_extra("gsplat", "rasterizer=gsplat")
+    if tuple(int(part) for part in gsplat.__version__.split(".")[:2]) < OLDEST:
+        raise UserError(
+            f"rasterizer=gsplat needs gsplat 1.5 or later, found {gsplat.__version__}: pip install -U gsplat"
+        )
+    if not torch.cuda.is_available():
+        raise UserError("rasterizer=gsplat needs a CUDA device, and torch sees none: use rasterizer=auto")
+    return gsplat

@@ -73,3 +73,13 @@ def test_half_precision_is_refused_in_a_sentence(target, dtype):
     rasterizer = target.build()
     with pytest.raises(UserError, match=str(dtype)):
         rasterizer(target.tensors(random_scene(0, 20), dtype), simple_camera(16, 12))
+
+
+def test_what_the_list_calls_missing_cannot_be_built_for_that_reason():
+    for component in RASTERIZERS:
+        if component.missing():
+            with pytest.raises(UserError) as refusal:
+                RASTERIZERS.build(component.name)
+            assert component.missing() in str(refusal.value)
+    gsplat = RASTERIZERS["gsplat"]
+    assert torch.cuda.is_available() or gsplat.missing()
