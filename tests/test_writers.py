@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 import json
+import os
 import sys
 
 import cv2
@@ -63,6 +65,21 @@ def test_a_video_without_frames_is_not_written(tmp_path):
     writer = open_writer(tmp_path / "a.mp4", width=16, height=16, fps=30)
     with pytest.raises(UserError, match=r"a\.mp4 could not be written whole"):
         writer.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["sheet.png", "frames"])
+def test_a_disk_that_is_full_is_named_and_leaves_nothing(tmp_path, monkeypatch, name):
+    def write(path, image):
+        path.write_bytes(b"half of it")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("gavatar_runtime.writers.write_png", write)
+    writer = open_writer(tmp_path / name, width=2, height=2, fps=1)
+    put = writer.add if name == "frames" else lambda image: (writer.add(image), writer.close())
+    with pytest.raises(UserError, match=f"{name}.* could not be written: {os.strerror(errno.ENOSPC)}"):
+        put(np.zeros((2, 2, 3), np.uint8))
+    writer.discard()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -200,7 +217,7 @@ def test_an_ffmpeg_that_gives_up_is_quoted_and_leaves_nothing(fake_ffmpeg, tmp_p
     assert list(tmp_path.iterdir()) == []
     writer = open_writer(tmp_path / "a.mp4", width=2, height=2, fps=30)
     writer.add(np.zeros((2, 2, 3), np.uint8))
-    with pytest.raises(UserError, match="could not be written whole"):
+    with pytest.raises(UserError, match="could not be written whole: ffmpeg says: No space left on device"):
         writer.close()
     assert list(tmp_path.iterdir()) == []
 

@@ -26,8 +26,8 @@ class Encoder(Protocol):
     def write(self, image: np.ndarray) -> None:
         """Append (H, W, 3) uint8 RGB. Raises OSError with the cause where the encoder gave up."""
 
-    def finish(self, count: int) -> bool:
-        """End the file; whether it holds all `count` frames."""
+    def finish(self, count: int) -> None:
+        """End the file. Raises OSError with the cause where it does not hold all `count` frames."""
 
     def abort(self) -> None:
         """Let go of the file; harmless after `finish`."""
@@ -71,13 +71,14 @@ class OpenCV:
     def write(self, image: np.ndarray) -> None:
         self._video.write(self._cv2.cvtColor(image, self._cv2.COLOR_RGB2BGR))
 
-    def finish(self, count: int) -> bool:
+    def finish(self, count: int) -> None:
         self._video.release()
         # OpenCV reports neither a full disk nor a codec's refusal: read it back
         video = self._cv2.VideoCapture(str(self.path))
         whole = video.isOpened() and round(video.get(self._cv2.CAP_PROP_FRAME_COUNT)) == count and video.read()[0]
         video.release()
-        return bool(whole)
+        if not whole:
+            raise OSError("is the disk full?")
 
     def abort(self) -> None:
         self._video.release()
@@ -104,10 +105,13 @@ class Ffmpeg:
         except OSError as error:  # it ended
             raise OSError(f"ffmpeg says: {self._last_words() or error}") from error
 
-    def finish(self, count: int) -> bool:
-        with contextlib.suppress(OSError):
+    def finish(self, count: int) -> None:
+        with contextlib.suppress(OSError):  # it ended, and says why below
             self._program.stdin.close()
-        return self._program.wait() == 0 and count > 0
+        if self._program.wait() != 0:
+            raise OSError(f"ffmpeg says: {self._last_words() or f'exit code {self._program.returncode}'}")
+        if not count:
+            raise OSError("there is no frame to show")
 
     def abort(self) -> None:
         self._program.kill()

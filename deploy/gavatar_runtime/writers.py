@@ -100,9 +100,11 @@ class VideoFile:
         self.count += 1
 
     def close(self) -> None:
-        if not self._encoder.finish(self.count):
+        try:
+            self._encoder.finish(self.count)
+        except OSError as error:
             self.discard()
-            raise UserError(f"{self.path} could not be written whole: is the disk full?")
+            raise UserError(f"{self.path} could not be written whole: {error}") from error
         put_in_place(self._temporary, self.path)
 
     def discard(self) -> None:
@@ -135,7 +137,9 @@ class FrameFolder:
         try:
             write_png(target, image)
         except OSError as error:
-            raise UserError(f"{self.path}: frame {self.count} could not be written: {error.strerror}") from error
+            raise UserError(
+                f"{self.path}: frame {self.count} could not be written: {error.strerror or error}"
+            ) from error
         self.count += 1
 
     def close(self) -> None:
@@ -164,7 +168,7 @@ def _jpeg_writer(path: Path) -> Callable[[Path, np.ndarray], None]:
 
     def write(temporary: Path, image: np.ndarray) -> None:
         if not cv2.imwrite(str(temporary), image[..., ::-1]):
-            raise UserError(f"{path} could not be written: is the disk full?")
+            raise OSError("is the disk full?")
 
     return write
 
@@ -203,7 +207,10 @@ class ContactSheet:
             row, column = divmod(i, columns)
             sheet[row * height : (row + 1) * height, column * width : (column + 1) * width] = image
         with atomic(self.path) as temporary:
-            self._write(temporary, sheet)
+            try:
+                self._write(temporary, sheet)
+            except OSError as error:
+                raise UserError(f"{self.path} could not be written: {error.strerror or error}") from error
 
     def discard(self) -> None:
         self.images = []

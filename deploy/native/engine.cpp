@@ -292,7 +292,8 @@ void forward(Engine& e, GvFrame& frame, const GvGaussians& gaussians, const GvCa
   for (size_t t = 0; t < tiles; t++) {
     uint32_t n = 0;
     for (Bins* b : bins)
-      if (const EntryBlock* block = block_of(b->cursors[t])) n += (uint32_t)(block->before + (b->cursors[t] - block->entry));
+      if (const EntryBlock* block = block_of(b->cursors[t]))
+        n += (uint32_t)(block->before + (b->cursors[t] - block->entry));
     frame.counts[t] = n;
     if (n) frame.order.push_back((uint32_t)t);
     if (options.keep) offset[t] = entries;

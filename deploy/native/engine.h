@@ -37,7 +37,7 @@ struct Record {
 typedef uint64_t Entry;
 
 // 512 bytes at a multiple of 512, so that where the next entry goes says in which block, and whether that is full.
-struct EntryBlock {
+struct alignas(512) EntryBlock {
   static constexpr uint32_t CAPACITY = 61;
   Entry entry[CAPACITY];
   EntryBlock *first, *next;  // of the tile; the last block's `next` is not set
@@ -127,7 +127,8 @@ struct Kernels {
   void (*project)(const Projection*, Bins*, int64_t begin, int64_t end);
   void (*forward_tile)(TileJob*);  // of a tile that has entries
   // The background on columns [x0, x1) and rows [y0, y1).
-  void (*background)(const Projection*, const GvOptions*, const GvImages*, int32_t x0, int32_t x1, int32_t y0, int32_t y1);
+  void (*background)(const Projection*, const GvOptions*, const GvImages*, int32_t x0, int32_t x1, int32_t y0,
+                     int32_t y1);
   void (*backward_tile)(BackwardTileJob*);
   // Gradients of Gaussians [begin, end) from their sums, which are cleared.
   void (*backward_project)(const Projection*, Sums*, MoreSums*, const GvGradients*, int64_t begin, int64_t end);

@@ -25,7 +25,7 @@ DEFAULT = "full"
 @dataclasses.dataclass
 class Parts:
     """What a tier is made from. surface: of all Gaussians that the bundle holds. map_surface: of the positional map,
-    None if static. threads: of ONNX Runtime, None for one a core. chosen: which N of the Gaussians are wanted, None for
+    None if static. threads: that decode, None for one a core. chosen: which N of the Gaussians are wanted, None for
     all. added: the variance, square metres, that each of those gains (`detail.thinned`)."""
 
     bundle: Bundle

@@ -68,7 +68,8 @@ class Coefficients:
             self._seen, self._fade = arrays["seen"].astype(np.float32), arrays["fade"]
             near = arrays["near"].astype(np.float32)
             self._near = near / np.maximum(near.sum(1, keepdims=True), 1)
-            fits = fits and self._seen.shape[1:] == (9 * near.shape[1],) and len(near) == self._parts
+            fits = fits and near.shape == (self._parts, len(self._joints))
+            fits = fits and len(self._seen) > 0 and self._seen.shape[1:] == (9 * len(self._joints),)
         if not fits:
             raise UserError(f"arrays of {source} do not fit each other; export it again")
 
