@@ -37,7 +37,7 @@ def playing(path: str, frames: int) -> None:
     from gavatar_runtime import network
     from gavatar_runtime.avatar import Avatar
     from gavatar_runtime.bundle import read_bundle
-    from gavatar_runtime.cli.play import clip
+    from gavatar_runtime.cli.staging import clip
     from gavatar_runtime.framing import frame_motion
     from gavatar_runtime.motions import read_motion
     from gavatar_runtime.player import build_rasterizer, play

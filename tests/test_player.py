@@ -21,6 +21,9 @@ from video_frames import frames_of
 from gavatar_runtime import native_library
 from gavatar_runtime.avatar import Avatar
 from gavatar_runtime.cli import play as command
+from gavatar_runtime.cli.play_arguments import color_from, frame_slice
+from gavatar_runtime.cli.settings import parse_settings
+from gavatar_runtime.cli.staging import clip
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.framing import frame_motion, orbit
 from gavatar_runtime.gaussians import Rendering
@@ -144,8 +147,8 @@ def test_timings_of_one_frame_and_of_none():
 
 
 def clipped(motion, text=None, fps=None, seconds=None):
-    frames = None if text is None else command._slice(text)
-    return command.clip(motion, fps, seconds, frames)
+    frames = None if text is None else frame_slice(text)
+    return clip(motion, fps, seconds, frames)
 
 
 @pytest.mark.parametrize(
@@ -183,24 +186,24 @@ def test_seconds_repeat_or_cut_a_motion_and_fps_resamples_it():
 
 
 def test_settings_go_to_their_group():
-    options = command.parse_settings(["motion.waves=3", "motion.seconds=1.5", "rasterizer.fast=true", "motion.up=z"])
+    options = parse_settings(["motion.waves=3", "motion.seconds=1.5", "rasterizer.fast=true", "motion.up=z"])
     assert options == {"motion": {"waves": 3, "seconds": 1.5, "up": "z"}, "rasterizer": {"fast": True}}
     for setting in ("waves=3", "motion.waves", "encoder.x=1"):
         with pytest.raises(UserError, match="--set"):
-            command.parse_settings([setting])
+            parse_settings([setting])
 
 
 @settings(max_examples=30)
 @given(st.tuples(*[st.floats(0, 1)] * 3))
 def test_a_background_can_be_given_in_numbers(color):
-    assert command._color(",".join(repr(c) for c in color)) == color
+    assert color_from(",".join(repr(c) for c in color)) == color
 
 
 @pytest.mark.parametrize(
     ("text", "color"), [("white", (1, 1, 1)), ("#00ff80", (0, 1, 128 / 255)), ("Black", (0, 0, 0))]
 )
 def test_a_background_can_be_named(text, color):
-    assert command._color(text) == color
+    assert color_from(text) == color
 
 
 def run(*arguments):

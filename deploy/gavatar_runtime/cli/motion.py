@@ -54,7 +54,7 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
     from ..motions import read_motion
-    from .play import parse_settings
+    from .settings import parse_settings
 
     options = parse_settings([f"motion.{setting}" for setting in arguments.set])["motion"]
     if arguments.rest:

@@ -1,0 +1,60 @@
+"""What `gavatar-play` tells: the timings as a table and as JSON, and how far it is."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from ..player import WRITE, Timings
+
+
+def timing_report(timings: Timings) -> dict[str, Any]:
+    """Median milliseconds by stage and of a frame; those of writing are not part of the frame's."""
+    ms = {stage: 1e3 * seconds for stage, seconds in timings.medians().items()}
+    write = ms.pop(WRITE)
+    return {
+        "stage_ms": ms,
+        "frame_ms": 1e3 * timings.frame_seconds,
+        "frames_per_second": timings.frames_per_second,
+        "write_ms": write,
+    }
+
+
+def peak_memory_mb() -> float | None:
+    """The most memory this process had resident so far, MB; None where the system does not tell. (What getrusage gives
+    includes the process that started this one.)"""
+    try:
+        status = Path("/proc/self/status").read_text()
+    except OSError:
+        return None
+    found = re.search(r"VmHWM:\s*(\d+) kB", status)
+    return int(found.group(1)) / 1000 if found else None
+
+
+def table(report: dict[str, Any]) -> str:
+    """The report of a run as lines for people."""
+    lines = [
+        f"{report['output']}: {report['frames']} frames of {report['width']}x{report['height']}, "
+        f"{report['gaussians']} Gaussians, tier {report['tier']}, {report['rasterizer']}",
+        f"{'stage':<10}{'ms a frame':>12}   (median after warm-up)",
+        *(f"{stage:<10}{ms:>12.2f}" for stage, ms in report["stage_ms"].items()),
+        f"{'frame':<10}{report['frame_ms']:>12.2f}   = {report['frames_per_second']:.1f} frames per second; a frame is "
+        "decoded while the one before is drawn",
+        f"{'write':<10}{report['write_ms']:>12.2f}   not counted above",
+        f"ready to play after {report['ready_seconds']:.2f} s",
+    ]
+    for level in report.get("levels", ()):
+        detail = "all Gaussians" if level["uv"] is None else f"uv {level['uv']}"
+        every = "" if level["reuse"] == 1 else f", decoded every {level['reuse']} frames"
+        lines.append(f"budget {report['budget_ms']:g} ms: {level['frames']} frames with {detail}{every}")
+    return "\n".join(lines)
+
+
+def show_progress(done: int, total: int) -> None:
+    """Draw the bar on stderr over the one before."""
+    width = 30
+    filled = width * done // total
+    end = "\n" if done == total else ""
+    print(f"\r[{'#' * filled}{'.' * (width - filled)}] {done}/{total}", end=end, file=sys.stderr, flush=True)
