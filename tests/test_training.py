@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -238,6 +239,27 @@ def test_poses_move_and_their_losses_are_asked_only_within_the_motion_window(cap
         assert bool(trainer.motion.rotation_correction.any()) == moves
         assert tuple("motion_prior" in trainer.history[i]["losses"] for i in (0, -1)) == asked
     assert trainer.history[-1]["step"] == 11
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: text.replace("guard:", "gard:"), "gard"),
+        (lambda text: text.replace("checkpoint_every", "capture_every").replace("motion:", "notion:"), "motion"),
+        (lambda text: text.replace("sharing_end: ", "sharing_end: -"), "sharing_end must be"),
+        (lambda text: "model: {a: [", "not the configuration of a run"),
+        (lambda text: "7", "not the configuration of a run"),
+    ],
+)
+def test_a_configuration_that_cannot_be_read_is_one_sentence_naming_it(trained, tmp_path, capture, change, words):
+    shutil.copytree(trained, tmp_path / "run")
+    path = tmp_path / "run" / "config.yaml"
+    path.write_text(change(path.read_text()))
+    for act in (lambda: open_run(tmp_path / "run"), lambda: run(capture, tmp_path / "run")):
+        with pytest.raises(UserError, match=words) as error:
+            act()
+        assert str(path) in str(error.value)
+        assert "\n" not in str(error.value)
 
 
 def test_training_on_one_frame_works(tmp_path):

@@ -33,7 +33,7 @@ def train(composed: DictConfig, directory: Path) -> Trainer:
     directory = Path(directory)
     path = directory / CONFIG
     if path.exists() and not config.overwrite:
-        former = resolved(check(OmegaConf.load(path)))
+        former = resolved(read_config(path))
         changed = [key for key, value in resolved(config).items() if former.get(key) != value]
         if changed:
             raise UserError(
@@ -51,6 +51,20 @@ def train(composed: DictConfig, directory: Path) -> Trainer:
         OmegaConf.save(OmegaConf.create(plain), temporary)
     trainer.run()
     return trainer
+
+
+def read_config(path: Path) -> TrainConfig:
+    """The configuration that a run has written down; UserError naming the file unless this version can read it."""
+    try:
+        return check(OmegaConf.load(path))
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
+    except Exception as error:  # whatever YAML, OmegaConf or our dataclasses make of a file of another kind
+        cause = (str(error).strip().splitlines() or [""])[0]
+        raise UserError(
+            f"{path} is not the configuration of a run of this version ({type(error).__name__}: {cause}): train with "
+            "another out=DIR"
+        ) from None
 
 
 @dataclasses.dataclass
@@ -81,7 +95,7 @@ def open_run(directory: str | Path, stage: int | None = None, capture: str | Pat
     directory = Path(directory)
     if not (directory / CONFIG).exists():
         raise UserError(f"{directory} is not a run directory: it has no {CONFIG} (gavatar-train writes one)")
-    config = check(OmegaConf.load(directory / CONFIG))
+    config = read_config(directory / CONFIG)
     if capture is not None:
         config.capture = str(capture)
     finished = [n for n, name in STAGE_FILES.items() if (directory / name).exists()]
