@@ -1,4 +1,4 @@
-"""The paper's ablation on one capture: baseline, +opt (motion), +opt+dyn (pose encoder), for several presets and seeds.
+r"""The paper's ablation on one capture: baseline, +opt (motion), +opt+dyn (pose encoder), for presets and seeds.
 
 python benchmarks/ablation.py CAPTURE --presets paper,upstream,default --seeds 0,1 --uv 256 --steps 1500/600 \
     --device cuda --jobs 4 --out runs/ablation --json ablation.json

@@ -1,7 +1,8 @@
-"""The ablation's runs differ in what they are to differ in, and in nothing else."""
+"""The ablation's runs differ in what they are to differ in alone; benchmarks fit the code that they measure."""
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import json
 import sys
@@ -118,3 +119,14 @@ def test_the_studies_of_appearance_compose_and_its_u_nets_differ_in_their_norm_a
                 encoders.append(dict(config.encoder))
     assert {encoder.pop("norm") for encoder in encoders} == {"group", "batch"}
     assert all(encoder == encoders[0] and encoder["name"] == "unet" for encoder in encoders)
+
+
+@pytest.mark.parametrize(
+    "path", [*BENCHMARKS.glob("*.py"), *BENCHMARKS.parent.glob("tools/*.py")], ids=lambda p: p.stem
+)
+def test_what_benchmarks_and_tools_import_from_us_is_there(path):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("gavatar"):
+            module = importlib.import_module(node.module)
+            for name in node.names:
+                assert hasattr(module, name.name) or importlib.util.find_spec(f"{node.module}.{name.name}"), name.name
