@@ -74,7 +74,7 @@ def body_points(avatar: Avatar, motion: Motion) -> np.ndarray:
 
 
 def posed_samples(avatar: Avatar, motion: Motion, frames: Iterable[int], count: int) -> Iterator[np.ndarray]:
-    """(S, 3) float32 metres, world, for each of `frames`: every so many points of the body's surface, that `count` of
+    """(S, 3) metres, world, for each of `frames`: every so many points of the body's surface, that `count` of
     them are asked for and S is up to twice as many."""
     surface = avatar.surface
     step = max(1, len(surface) // count)

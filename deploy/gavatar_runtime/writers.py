@@ -80,7 +80,7 @@ class VideoFile:
         try:
             self._encoder = encoder(self._temporary, *size, fps)
         except OSError as error:
-            self._temporary.unlink()
+            self._temporary.unlink(missing_ok=True)  # a codec may have removed it
             raise UserError(
                 f"{path}: no .mp4 of {size[0]}x{size[1]} pixels at {fps:g} frames per second can be written ({error}); "
                 "choose another size, or a folder of frames"
