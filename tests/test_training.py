@@ -262,6 +262,15 @@ def test_a_configuration_that_cannot_be_read_is_one_sentence_naming_it(trained, 
         assert "\n" not in str(error.value)
 
 
+def test_a_configuration_of_another_size_than_what_was_trained_is_one_sentence(trained, tmp_path):
+    shutil.copytree(trained, tmp_path / "run")
+    path = tmp_path / "run" / "config.yaml"
+    path.write_text(path.read_text().replace("\n  features: ", "\n  features: 1"))
+    with pytest.raises(UserError, match=r"stage2\.pt does not fit config\.yaml.*size mismatch") as error:
+        open_run(tmp_path / "run")
+    assert "\n" not in str(error.value)
+
+
 def test_training_on_one_frame_works(tmp_path):
     capture = write_tiny_capture(tmp_path / "one", frames=(20,), test=(), novel=())
     trainer = run(capture, tmp_path / "r")

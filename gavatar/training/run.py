@@ -116,9 +116,8 @@ def open_run(directory: str | Path, stage: int | None = None, capture: str | Pat
         built.avatar.load_state_dict(state["avatar"])
         motion.load_state_dict(state["motion"])
     except (RuntimeError, KeyError) as error:
-        raise UserError(
-            f"{directory / STAGE_FILES[number]} does not fit {CONFIG} or the capture: {str(error).splitlines()[0]}"
-        ) from None
+        cause = " ".join(line.strip() for line in str(error).splitlines()[:2])  # the second names the first fault
+        raise UserError(f"{directory / STAGE_FILES[number]} does not fit {CONFIG} or the capture: {cause}") from None
     if number == 1:
         built.avatar.encoder = None
     built.avatar.sample_at(built.surface(state["uv"]))
