@@ -1,8 +1,18 @@
-// The C interface of gavatar's native kernel: exact Gaussian splatting, forward and backward, and linear blend skinning.
+// The C interface of gavatar's native kernel:
 //
-// Everything is float32 in host memory, C-contiguous. The rule is the one of gavatar_runtime/rasterizers/rules.py.
-// Calls from several threads are safe: they take turns, since all of them share one pool of worker threads.
-// Functions that can fail return 0 on success, -1 when memory ran out and -2 for an index out of range.
+// - exact Gaussian splatting, forward and backward (gv_forward, gv_backward), by the rule of
+//   gavatar_runtime/rasterizers/rules.py, and a frame (gv_frame_*) that holds what is kept from one to the other;
+// - linear blend skinning with its gradients, and attributes of Gaussians from blendshapes or by upsampling;
+// - SSIM with its gradient, and sparse products, for training;
+// - resizing of images;
+// - which instruction set and how many threads do the work (gv_isa*, gv_threads).
+//
+// Arrays lie in host memory, C-contiguous, float32 where no other type is named. What is written must not overlap
+// what is read. gavatar_runtime/native_library.py mirrors this file: GV_ABI_VERSION changes with what is declared here.
+// Calls from several threads are safe: those that share the pool of worker threads take turns, and gv_resize and
+// gv_resize8 use no pool. A frame is one thread's at a time.
+// Functions that can fail return 0 on success, -1 when memory ran out and -2 for an index or a size out of range; what
+// they write is of no use then.
 #pragma once
 #include <stdint.h>
 
@@ -79,16 +89,17 @@ GV_API int32_t gv_isa_count(void);
 GV_API const char* gv_isa_name(int32_t isa);
 GV_API int32_t gv_isa_supported(int32_t isa);
 GV_API int32_t gv_isa(void);
-GV_API int32_t gv_set_isa(int32_t isa);  // -1: the best one; returns what is used now
+GV_API int32_t gv_set_isa(int32_t isa);  // -1: the best one; returns what is used now: 0 where `isa` cannot be
 
 GV_API int32_t gv_threads(void);
 GV_API void gv_set_threads(int32_t threads);  // 0: the cores this process may use
 
-GV_API GvFrame* gv_frame_new(void);
+GV_API GvFrame* gv_frame_new(void);  // null when memory ran out
 GV_API void gv_frame_free(GvFrame*);
 GV_API int64_t gv_frame_bytes(const GvFrame*);
 GV_API int32_t gv_forward(GvFrame*, const GvGaussians*, const GvCamera*, const GvOptions*, const GvImages*, GvReport*);
-// `images` are the forward's outputs, `upstream` dL/d(images) (color, alpha, depth; null where zero).
+// After a forward of this frame with `keep` and the same Gaussians, camera and options. `images` are the forward's
+// outputs, `upstream` dL/d(images) (color, alpha, depth; null where zero). normals and color8 are not read.
 GV_API int32_t gv_backward(GvFrame*, const GvGaussians*, const GvCamera*, const GvOptions*, const GvImages* images,
                            const GvImages* upstream, const GvGradients*, GvBackwardReport*);
 
@@ -107,17 +118,19 @@ GV_API int32_t gv_skin_backward(int64_t count, int32_t slots, int32_t joints, in
 GV_API int32_t gv_blendshapes(int64_t count, int32_t groups, int32_t parts, const float* base, const uint8_t* part,
                               const int8_t* basis, const float* coefficients, const float* gains, float* points,
                               float* colors, float* scales);
-// Upsampling: the residual is sum_k weight[n, k] table[index[n, k]]. table: (rows, 8).
+// A part outside [0, parts) fails.
+// Upsampling: the residual is sum_k weight[n, k] table[index[n, k]]. table: (rows, 8). Indices outside [0, rows) fail.
 GV_API int32_t gv_upsample(int64_t count, int32_t slots, int32_t rows, const float* base, const int32_t* index,
                            const float* weight, const float* table, float* points, float* colors, float* scales);
 
-// SSIM (Wang et al. 2004) of planes (P, H, W) with a separable, symmetric window of up to 11 x 11 weights, K1 = 0.01, K2 = 0.03 and
-// range 1: values (P,) the mean over the positions where the window fits, gradients (P, H, W) of each value by its plane
-// of x, or null. H >= taps_y and W >= taps_x.
+// SSIM (Wang et al. 2004) of planes (P, H, W) with a separable, symmetric window of up to 11 x 11 weights, `column`
+// (taps_y,) by `line` (taps_x,), K1 = 0.01, K2 = 0.03 and range 1: values (P,) the mean over the positions where the
+// window fits, gradients (P, H, W) of each value by its plane of x, or null. H >= taps_y and W >= taps_x.
 GV_API int32_t gv_ssim(int64_t planes, int32_t height, int32_t width, int32_t taps_y, int32_t taps_x,
                        const float* column, const float* line, const float* x, const float* y, double* values,
                        float* gradients);
-// A sparse matrix (rows as ranges of `offset` (N + 1,)) times a table of `rows` rows of `channels` floats: out (N, channels).
+// A sparse matrix times a table (rows, channels): out (N, channels). Row n of the matrix has `weight` in the columns
+// `index` from offset[n] to offset[n + 1]; offset: (N + 1,). Indices outside [0, rows) fail.
 GV_API int32_t gv_sparse_product(int64_t count, int32_t channels, int32_t rows, const int32_t* offset,
                                  const int32_t* index, const float* weight, const float* table, float* out);
 // An image (H, W) or (H, W, 3) at another size, linearly, as cv2.resize does it; of bytes: rounded. channels: 1 or 3.

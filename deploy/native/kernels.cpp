@@ -8,8 +8,10 @@ namespace GV_NAMESPACE {
 using namespace gv;
 #include "project.inc"
 #include "blend.inc"
+#include "sparse.inc"
 #include "skin.inc"
-#include "training.inc"
+#include "residuals.inc"
+#include "ssim.inc"
 }  // namespace GV_NAMESPACE
 
 namespace gv {
