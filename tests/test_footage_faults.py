@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from stopped_runs import stopped_after
 from tiny_capture import SMALL, write_tiny_capture
 
-import gavatar.training.trainer as trainer_module
 from gavatar.config import check, compose_config
 from gavatar.files import load_tensors, write_image
 from gavatar.image_quality import ssim
@@ -182,23 +182,12 @@ def test_planted_exposures_are_found(capture, tmp_path):
     assert open_run(tmp_path / "run").avatar  # evaluation knows no gains
 
 
-def test_exposures_are_resumed_too(capture, tmp_path, monkeypatch):
+def test_exposures_are_resumed_too(capture, tmp_path):
     whole = train(config(capture, tmp_path / "whole", "exposure=true"), tmp_path / "whole")
     assert whole.exposure.log_gain.abs().max() > 0
 
-    class Killed(Exception):
-        pass
-
-    original = trainer_module.Stage._save
-
-    def killed(stage, step):
-        original(stage, step)
-        raise Killed
-
-    monkeypatch.setattr(trainer_module.Stage, "_save", killed)
-    with pytest.raises(Killed):
+    with stopped_after():
         train(config(capture, tmp_path / "parts", "exposure=true"), tmp_path / "parts")
-    monkeypatch.undo()
     resumed = train(config(capture, tmp_path / "parts", "exposure=true"), tmp_path / "parts")
     assert torch.equal(whole.exposure.log_gain, resumed.exposure.log_gain)
     states = [load_tensors(tmp_path / name / "stage1.pt")["avatar"] for name in ("whole", "parts")]

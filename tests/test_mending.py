@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from stopped_runs import stopped_after
 from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.config import check, compose_config
@@ -63,25 +64,12 @@ def test_without_mending_the_jump_stays(capture, tmp_path):
     assert off_by(run(capture, tmp_path))[JUMPED] > 0.1
 
 
-def test_a_run_stopped_after_mending_resumes_to_the_same_result(capture, tmp_path, monkeypatch):
-    from gavatar.training import trainer as module
-
+def test_a_run_stopped_after_mending_resumes_to_the_same_result(capture, tmp_path):
     settings = ("motion.mend=0.7", "checkpoint_every=50")
     run(capture, tmp_path / "whole", *settings)
 
-    class Stop(Exception):
-        pass
-
-    original = module.Stage._save
-
-    def save_and_stop(self, step):
-        original(self, step)
-        raise Stop
-
-    monkeypatch.setattr(module.Stage, "_save", save_and_stop)
-    with pytest.raises(Stop):
+    with stopped_after():
         run(capture, tmp_path / "stopped", *settings)
-    monkeypatch.setattr(module.Stage, "_save", original)
     run(capture, tmp_path / "stopped", *settings)
     whole, stopped = (load_tensors(tmp_path / name / "stage1.pt")["motion"] for name in ("whole", "stopped"))
     for key in whole:

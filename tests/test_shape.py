@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from stopped_runs import stopped_after
 from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.body import Skeleton
@@ -106,23 +107,9 @@ def test_the_refined_shape_is_in_all_that_a_run_leaves(trained, tmp_path):
 
 
 @pytest.mark.parametrize("after", [("stage1", 4), ("stage1", 6), ("stage2", 2)])
-def test_a_run_stopped_anywhere_resumes_to_the_same_shape(capture, trained, tmp_path, after, monkeypatch):
-    from gavatar.training import trainer as module
-
-    class Stop(Exception):
-        pass
-
-    original = module.Stage._save
-
-    def save_and_stop(self, step):
-        original(self, step)
-        if (f"stage{self.number}", step) == after:
-            raise Stop
-
-    monkeypatch.setattr(module.Stage, "_save", save_and_stop)
-    with pytest.raises(Stop):
+def test_a_run_stopped_anywhere_resumes_to_the_same_shape(capture, trained, tmp_path, after):
+    with stopped_after(after):
         run(capture, tmp_path / "stopped")
-    monkeypatch.setattr(module.Stage, "_save", original)
     run(capture, tmp_path / "stopped")
     expected, got = load_tensors(trained / "stage2.pt"), load_tensors(tmp_path / "stopped" / "stage2.pt")
     assert torch.equal(expected["betas"], got["betas"])

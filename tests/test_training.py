@@ -13,6 +13,7 @@ import time
 import numpy as np
 import pytest
 import torch
+from stopped_runs import stopped_after
 from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.config import check, compose_config
@@ -75,24 +76,10 @@ def test_the_same_seed_gives_the_same_avatar_and_another_another(capture, traine
 
 
 @pytest.mark.parametrize("after", [("stage1", 2), ("stage1", 4), ("stage2", 2)])
-def test_a_run_stopped_after_any_checkpoint_resumes_to_the_same_result(capture, trained, tmp_path, after, monkeypatch):
-    from gavatar.training import trainer as module
-
-    class Stop(Exception):
-        pass
-
-    original = module.Stage._save
-
-    def save_and_stop(self, step):
-        original(self, step)
-        if (f"stage{self.number}", step) == after:
-            raise Stop
-
+def test_a_run_stopped_after_any_checkpoint_resumes_to_the_same_result(capture, trained, tmp_path, after):
     out = tmp_path / "stopped"
-    monkeypatch.setattr(module.Stage, "_save", save_and_stop)
-    with pytest.raises(Stop):
+    with stopped_after(after):
         run(capture, out)
-    monkeypatch.setattr(module.Stage, "_save", original)
     run(capture, out)
     for stage in ("stage1.pt", "stage2.pt"):
         expected, got = load_tensors(trained / stage), load_tensors(out / stage)
@@ -165,24 +152,11 @@ def test_stage_two_moves_features_and_poses_where_asked_to(trained_wholly):
 
 
 @pytest.mark.parametrize("after", [("stage1", 6), ("stage2", 2)])
-def test_poses_that_move_in_stage_two_resume_to_the_same_result(capture, trained_wholly, tmp_path, after, monkeypatch):
+def test_poses_that_move_in_stage_two_resume_to_the_same_result(capture, trained_wholly, tmp_path, after):
     """Stage 2 goes on with stage 1's optimiser of the poses: a run stopped between the two must find it again."""
-    from gavatar.training import trainer as module
-
-    class Stop(Exception):
-        pass
-
-    original, config = module.Stage._save, compose_config([f"capture={capture}", f"out={tmp_path}", *LINEAR])
-
-    def save_and_stop(self, step):
-        original(self, step)
-        if (f"stage{self.number}", step) == after:
-            raise Stop
-
-    monkeypatch.setattr(module.Stage, "_save", save_and_stop)
-    with pytest.raises(Stop):
+    config = compose_config([f"capture={capture}", f"out={tmp_path}", *LINEAR])
+    with stopped_after(after):
         train(config, tmp_path)
-    monkeypatch.setattr(module.Stage, "_save", original)
     train(config, tmp_path)
     expected, got = load_tensors(trained_wholly / "stage2.pt"), load_tensors(tmp_path / "stage2.pt")
     assert_same(expected["avatar"], got["avatar"])
