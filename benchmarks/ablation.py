@@ -26,14 +26,14 @@ import cv2
 import numpy as np
 
 from gavatar.config import check, compose_config
-from gavatar.evaluation import Evaluation, Evaluator, evaluate, motion_errors
-from gavatar.files import write_image, write_json
+from gavatar.evaluation.report import format_table
+from gavatar.evaluation.scores import Evaluation, Evaluator, evaluate, motion_errors
 from gavatar.registry import load_plugins
-from gavatar.reporting import format_table
+from gavatar.storage import write_image, write_json
 from gavatar.training.preview import error_map
 from gavatar.training.run import open_run, train
 from gavatar_runtime.errors import exit_cleanly
-from gavatar_runtime.spacing import evenly_spaced
+from gavatar_runtime.geometry.spacing import evenly_spaced
 
 PRESETS = ("paper", "upstream", "default")
 # of a capture without true poses: training frames with the poses of training, held-out ones with fitted poses

@@ -22,16 +22,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gavatar.build import open_capture
-from gavatar.capture import Capture, View
+from gavatar.capture.capture import Capture, View
+from gavatar.capture.opening import open_capture
 from gavatar.config import compose_config
-from gavatar.evaluation import Evaluator, evaluate
-from gavatar.files import write_image, write_json
+from gavatar.evaluation.report import format_table
+from gavatar.evaluation.scores import Evaluator, evaluate
 from gavatar.registry import load_plugins
-from gavatar.reporting import format_table
+from gavatar.storage import write_image, write_json
 from gavatar.training.run import open_run, train
 from gavatar_runtime.errors import exit_cleanly
-from gavatar_runtime.rotations import matrix_from_axis_angle
+from gavatar_runtime.geometry.rotations import matrix_from_axis_angle
 
 LEVELS = "[{until:0.65,uv:64,image:0.25},{until:1.0,uv:128,image:0.5}]"
 STATIC = ["encoder=none", "stage2.steps=0"]

@@ -18,19 +18,19 @@ from pathlib import Path
 
 import numpy as np
 
-from gavatar.body import SMPL_BODY_JOINTS
-from gavatar.build import open_capture
+from gavatar.body.skeleton import SMPL_BODY_JOINTS
+from gavatar.capture.opening import open_capture
 from gavatar.config import compose_config
-from gavatar.evaluation import joints_of
-from gavatar.files import write_json
+from gavatar.evaluation.report import format_table
+from gavatar.evaluation.scores import joints_of
 from gavatar.registry import load_plugins
-from gavatar.reporting import format_table
-from gavatar.training.mending import other_side
+from gavatar.storage import write_json
+from gavatar.training.remedies.acceptance import refuse_worse_poses
+from gavatar.training.remedies.outliers import other_side
 from gavatar.training.run import train
-from gavatar.training.verdict import refuse_worse_poses
 from gavatar_runtime.errors import exit_cleanly
-from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from gavatar_runtime.skeletons import BODY
+from gavatar_runtime.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from gavatar_runtime.values.skeletons import BODY
 
 TURN, JUMP = np.radians(30.0), 0.2  # radians, metres
 TURNED, JUMPING = 4, 4  # joints of a turned frame; frames of the jump

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from make_bundle import free_body, surface_of
 
+from gavatar_runtime.avatar.expression import Expression
+from gavatar_runtime.avatar.pose_blendshapes import PoseBlendshapes, Turns
 from gavatar_runtime.bundle import pack_arrays
-from gavatar_runtime.expression import Expression
-from gavatar_runtime.pose_blendshapes import PoseBlendshapes, Turns
 
 MODELS = {"SMPL": (6890, 24, 202_700, 0), "SMPL-X": (10475, 55, 191_600, 10)}  # vertices, joints, points, expressions
 BODY_JOINTS = 22

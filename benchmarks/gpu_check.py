@@ -149,7 +149,7 @@ class Checks:
             ["-k", self.arguments.device] if not self.arguments.quick else ["-k", f"{self.arguments.device} and one"]
         )
         command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-rs", "--durations=8",
-                   "tests/rasterizers", *which]  # fmt: skip
+                   "tests/plugins/rasterizers", *which]  # fmt: skip
         output = self.call("tests", command, 120)
         self.results["tests"] = [line for line in output.splitlines() if " passed" in line or " failed" in line][-1:]
         self.results["tests failed"] = re.findall(r"^FAILED (.*)$", output, re.M)
@@ -206,7 +206,7 @@ class Checks:
 def _scene(count: int, device: str):
     from splat_scenes import as_torch, body_scene
 
-    from gavatar_runtime.gaussians import Gaussians
+    from gavatar_runtime.values.gaussians import Gaussians
 
     fields = vars(as_torch(body_scene(count))).items()
     return Gaussians(**{k: None if v is None else v.to(device).requires_grad_() for k, v in fields})

@@ -33,14 +33,14 @@ def median_ms(run, times: int) -> float:
 
 
 def playing(path: str, frames: int) -> None:
-    from gavatar.tradeoff import _Nowhere
-    from gavatar_runtime import network
-    from gavatar_runtime.avatar import Avatar
+    from gavatar.measure.ladder import _Nowhere
+    from gavatar_runtime.avatar.playing import Avatar
     from gavatar_runtime.bundle import read_bundle
-    from gavatar_runtime.cli.staging import clip
-    from gavatar_runtime.framing import frame_motion
+    from gavatar_runtime.decoding import network
     from gavatar_runtime.motions import read_motion
-    from gavatar_runtime.player import build_rasterizer, play
+    from gavatar_runtime.play.framing import frame_motion
+    from gavatar_runtime.play.player import build_rasterizer, play
+    from gavatar_runtime.play.staging import clip
 
     bundle, quiet = read_bundle(path), network._session
     print("threads of ORT, kernel; spin: ms decode alone, draw alone, one after the other, together")

@@ -18,18 +18,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gavatar.body import BodyData
-from gavatar.capture import Capture, read_capture
+from gavatar.body.skeleton import BodyData
+from gavatar.capture.capture import Capture, read_capture
 from gavatar.config import compose_config
-from gavatar.metrics import joint_errors
+from gavatar.images.metrics import joint_errors
 from gavatar.prepare import CaptureFacts, Detector, FitOptions, SourceOptions, open_source, prepare
 from gavatar.prepare.draw import body_mask, iou, overlay
 from gavatar.prepare.initial import DEFAULT_FOV
 from gavatar.registry import BODIES, load_plugins
 from gavatar.training.run import open_run, train
-from gavatar_runtime.camera import Camera
-from gavatar_runtime.motion import Motion
-from gavatar_runtime.spacing import evenly_spaced
+from gavatar_runtime.geometry.spacing import evenly_spaced
+from gavatar_runtime.values.camera import Camera
+from gavatar_runtime.values.motion import Motion
 
 
 def make_video(capture: Capture, camera: str, frames: int, path: Path) -> Path:

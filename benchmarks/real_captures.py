@@ -28,19 +28,19 @@ import cv2
 import numpy as np
 import torch
 
-from gavatar.build import build_rasterizer
-from gavatar.capture import Capture, View, read_capture
+from gavatar.assemble import build_rasterizer
+from gavatar.capture.capture import Capture, View, read_capture
 from gavatar.config import compose_config
-from gavatar.evaluation import Evaluator
-from gavatar.image_quality import mean_psnr, psnr, ssim
-from gavatar.metrics import masked
-from gavatar.motion import MotionTable
+from gavatar.evaluation.scores import Evaluator
+from gavatar.images.image_quality import mean_psnr, psnr, ssim
+from gavatar.images.metrics import masked
 from gavatar.prepare import CaptureFacts, Detector, FitOptions, Source, SourceOptions, open_source, prepare
 from gavatar.prepare.draw import iou
 from gavatar.registry import BODIES, load_plugins
+from gavatar.training.motion_table import MotionTable
 from gavatar.training.run import Run, open_run, train
-from gavatar_runtime.motion import Motion
-from gavatar_runtime.spacing import evenly_spaced
+from gavatar_runtime.geometry.spacing import evenly_spaced
+from gavatar_runtime.values.motion import Motion
 
 HOLE = 0.9  # opacity below which a pixel well inside the mask counts as see-through
 LARGEST_FIGURE = 1100  # pixels

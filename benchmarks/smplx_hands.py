@@ -2,9 +2,9 @@
 
     python benchmarks/smplx_hands.py FOLDER [--figure docs/figures/smplx.jpg]
 
-The body is the free one dressed up as SMPL-X (tests/official_bodies.py), the capture 24 rendered views of it whose
-fingers close and whose mouth opens, the poses given to training are off by seeded noise. Prints the error of the finger
-joints and of the body before and after training with motion.joints=22 and 55, and draws the exported avatar.
+The body is the free one dressed up as SMPL-X (tests/support/official_bodies.py), the capture 24 rendered views of it
+whose fingers close and whose mouth opens, the poses given to training are off by seeded noise. Prints the error of the
+finger joints and of the body before and after training with motion.joints=22 and 55, and draws the exported avatar.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from smplx_capture import camera, hand_motion, write_smplx_capture, write_smplx_model
 
 from gavatar.config import compose_config
-from gavatar.evaluation import motion_errors, part_errors
-from gavatar.export import export
+from gavatar.evaluation.scores import motion_errors, part_errors
+from gavatar.export.bundling import export
 from gavatar.training.run import open_run, train
-from gavatar_runtime.avatar import Avatar
-from gavatar_runtime.player import build_rasterizer
+from gavatar_runtime.avatar.playing import Avatar
+from gavatar_runtime.play.player import build_rasterizer
 
 SETTINGS = [
     "experiment=demo", "encoder=none", "progress=false", "stage1.steps=500", "stage1.batch=4",

@@ -14,13 +14,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gavatar_runtime.avatar import Avatar
+from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.bundle import read_bundle
-from gavatar_runtime.files import atomic
-from gavatar_runtime.framing import frame_motion
-from gavatar_runtime.motion import Motion
-from gavatar_runtime.player import build_rasterizer
+from gavatar_runtime.formats.files import atomic
+from gavatar_runtime.play.framing import frame_motion
+from gavatar_runtime.play.player import build_rasterizer
 from gavatar_runtime.tiers import stored_tiers
+from gavatar_runtime.values.motion import Motion
 
 WHITE = (1, 1, 1)
 

@@ -21,9 +21,9 @@ import torch
 
 from gavatar.config import check, compose_config
 from gavatar.demo import demo_capture
-from gavatar.files import write_json
-from gavatar.reporting import format_table
-from gavatar.training.data import Footage
+from gavatar.evaluation.report import format_table
+from gavatar.storage import write_json
+from gavatar.training.footage import Footage
 from gavatar.training.stage import Stage
 from gavatar.training.trainer import Trainer
 from gavatar_runtime.errors import exit_cleanly

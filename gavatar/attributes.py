@@ -7,7 +7,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from gavatar_runtime.pose_inputs import check_inputs
+from gavatar_runtime.decoding.pose_inputs import check_inputs
 
 
 @dataclasses.dataclass
@@ -41,7 +41,8 @@ class Encoder(Protocol):
     """A component of the `encoder` registry: an nn.Module built as `factory(config, channels=C, map_size=None)`,
     or None for a static avatar. `map_size` is the side of the maps it wants.
 
-    `inputs`: which of `gavatar_runtime.pose_inputs.INPUTS` it looks at, by default the positional map alone (see
+    `inputs`: which of `gavatar_runtime.decoding.pose_inputs.INPUTS` it looks at, by default the positional map alone
+    (see
     `encoder_inputs`). `forward(*inputs) -> (B, C, M, M)` pose features, added to the learnable features; positional_map
     is (B, 3, M, M). An optional `prepare(surface, seen, *inputs)` is called once before its first training step
     with the sampled surface of the maps, the texels that each training view shows, (V, M, M) bool, and the inputs in
@@ -55,7 +56,8 @@ class Encoder(Protocol):
 
 
 def encoder_inputs(encoder: Encoder) -> tuple[str, ...]:
-    """Names of what an encoder looks at, one or more of `gavatar_runtime.pose_inputs.INPUTS`. UserError for another."""
+    """Names of what an encoder looks at, one or more of `gavatar_runtime.decoding.pose_inputs.INPUTS`. UserError for
+    another."""
     names = tuple(getattr(encoder, "inputs", ("positional_map",)))
     check_inputs(names, f"encoder {type(encoder).__name__}")
     return names

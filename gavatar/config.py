@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
+from typing import TYPE_CHECKING, Any
+
+from gavatar_runtime.errors import UserError
+
+if TYPE_CHECKING:
+    pass
+
+
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
-from gavatar_runtime.errors import UserError
-
-from .avatar import AvatarConfig
+from .avatar.points import check_resolution
+from .avatar.trainable import AvatarConfig
 from .losses import loss_config
-from .precision import check_precision
 from .registry import BODIES, DECODERS, ENCODERS, RASTERIZERS, fill_config_store, load_plugins
-from .surface import check_resolution
-from .training.verdict import check_dynamics
+from .training.precision import check_precision
+
+DYNAMICS = ("always", "auto")
 
 
 @dataclasses.dataclass
@@ -52,7 +58,8 @@ class MotionConfig:
     """How the body motion is optimised. enabled: off gives the paper's baseline. lr: radians a step;
     lr_trans: metres a step. start, end: fractions of the stage between which it is optimised. joints: how many of the
     first joints are corrected. sharing: seconds over which neighbouring frames are corrected alike at the start (the
-    standard deviation of `gavatar.motion.shared_frames`; 0: each frame learns from its own images alone; never more
+    standard deviation of `gavatar.training.motion_table.shared_frames`; 0: each frame learns from its own images
+    alone; never more
     than an eighth of the time that the training frames cover); sharing_final: what it narrows to at the fraction
     sharing_end of the stage. guard: at the end of the stage, frames whose refined pose renders worse than the
     estimated one get their estimate back. mend: fraction of the stage at which frames that another pose (their
@@ -194,3 +201,11 @@ def _check_stage(name: str, stage: StageConfig) -> None:
         check_resolution(level.uv, f"{name}.levels: uv")
         if not 0 < level.image <= 4:
             raise UserError(f"{name}.levels: image must be within (0, 4], not {level.image}")
+
+
+def check_dynamics(dynamics: str, least_gain: float) -> None:
+    """UserError unless both options are possible."""
+    if dynamics not in DYNAMICS:
+        raise UserError(f"dynamics must be {' or '.join(DYNAMICS)}, not '{dynamics}'")
+    if not math.isfinite(least_gain):
+        raise UserError(f"dynamics_gain must be a number of decibels, not {least_gain}")

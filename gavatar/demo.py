@@ -15,14 +15,14 @@ import cv2
 import numpy as np
 
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.spacing import evenly_spaced
+from gavatar_runtime.geometry.spacing import evenly_spaced
 
-from .capture import View
+from .capture.capture import View
 from .config import compose_config
-from .evaluation import Evaluation, Evaluator, evaluate
-from .export import export
-from .files import atomic, write_json
-from .reporting import format_table
+from .evaluation.report import format_table
+from .evaluation.scores import Evaluation, Evaluator, evaluate
+from .export.bundling import export
+from .storage import atomic, write_json
 from .training.preview import error_map
 from .training.run import Run, open_run, train
 

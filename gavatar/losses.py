@@ -15,8 +15,9 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from gavatar.registry import LOSSES, load_plugins
 from gavatar_runtime.errors import UserError
+
+from .registry import LOSSES, load_plugins
 
 
 @dataclasses.dataclass(kw_only=True)

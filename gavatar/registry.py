@@ -15,11 +15,12 @@ import pkgutil
 import typing
 import warnings
 from pathlib import Path
+from typing import Any
 
+from gavatar_runtime.components import Component, NoOptions, Registry
 from gavatar_runtime.motions import MOTIONS
-from gavatar_runtime.registry import Component, NoOptions, Registry
 
-from .extras import extra_of, install_command
+from .optional import extra_of, install_command
 
 BODIES: Registry = Registry("body")
 ENCODERS: Registry = Registry("encoder")
@@ -143,3 +144,8 @@ def _node(component: Component) -> type:
             value = dataclasses.field(default="???" if field.default is dataclasses.MISSING else field.default)
         fields.append((field.name, hints[field.name], value))
     return dataclasses.make_dataclass(f"{component.config.__name__}Node", fields)
+
+
+def split_node(node: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """A composed component node -> its name and its options."""
+    return node["name"], {k: v for k, v in node.items() if k != "name"}

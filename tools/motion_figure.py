@@ -8,10 +8,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gavatar_runtime.avatar import Avatar
-from gavatar_runtime.framing import frame_motion
+from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.motions import read_motion
-from gavatar_runtime.player import build_rasterizer
+from gavatar_runtime.play.framing import frame_motion
+from gavatar_runtime.play.player import build_rasterizer
 
 
 def row(avatar: Avatar, rasterizer, clip: str, columns: int, side: int) -> np.ndarray:

@@ -30,10 +30,10 @@ from typing import Any
 import numpy as np
 
 from . import __version__
-from .body import Hands
 from .errors import UserError
-from .files import atomic
-from .surface import Surface
+from .formats.files import atomic
+from .values.body import Hands
+from .values.surface import Surface
 
 FORMAT = "gavatar"
 FORMAT_VERSION = 1

@@ -163,7 +163,7 @@ class Frame:
 
 
 def camera_struct(camera) -> CameraStruct:
-    """A `gavatar_runtime.camera.Camera` for the kernel. Raises UserError for what is not a camera's numbers."""
+    """A `gavatar_runtime.values.camera.Camera` for the kernel. Raises UserError for what is not a camera's numbers."""
     T = camera.T_camera_world
     numbers = (camera.fx, camera.fy, camera.cx, camera.cy, *T[:3].ravel().tolist())
     if not (0 < camera.width <= 1 << 17 and 0 < camera.height <= 1 << 17):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gavatar_runtime.errors import UserError, exit_cleanly
 
-from ..extras import requires_extra
+from ..optional import requires_extra
 
 DESCRIPTION = """Train, evaluate, export and play an avatar of the capture that comes with gavatar (synthetic, CC0):
 a person turning and moving before one camera, with estimated poses that are off by 52 mm."""
@@ -34,9 +34,9 @@ def main(argv: list[str] | None = None) -> int:
     for override in arguments.overrides:
         if "=" not in override:
             raise UserError(f"'{override}' is not a setting: write KEY=VALUE, or --out DIR for the folder")
-    from ..cli.train import check_overrides
     from ..config import register_configs
     from ..demo import demo_capture, run_demo, screen
+    from .train import check_overrides
 
     register_configs()
     check_overrides([f"capture={demo_capture()}", "experiment=demo", *arguments.overrides])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gavatar_runtime.errors import UserError, exit_cleanly
 
-from ..extras import requires_extra
+from ..optional import requires_extra
 
 DESCRIPTION = "Evaluate a trained run: PSNR, SSIM, perceptual distance and joint errors per split."
 EPILOG = """examples
@@ -45,9 +45,9 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
     from ..config import register_configs
-    from ..dynamics_worth import weigh_dynamics
-    from ..evaluation import evaluate
-    from ..reporting import evaluation_figure, table
+    from ..evaluation.dynamics import weigh_dynamics
+    from ..evaluation.report import evaluation_figure, table
+    from ..evaluation.scores import evaluate
     from ..training.run import open_run
 
     if arguments.fit_steps < 1:

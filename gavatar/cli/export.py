@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gavatar_runtime.errors import UserError, exit_cleanly
 
-from ..extras import requires_extra
+from ..optional import requires_extra
 
 DESCRIPTION = "Export a trained run as an avatar bundle that plays without torch, verified against the PyTorch model."
 EPILOG = """examples
@@ -57,7 +57,7 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
     from ..config import register_configs
-    from ..export import export, export_front
+    from ..export.bundling import export, export_front
     from ..training.run import open_run
 
     if arguments.poses < 1:

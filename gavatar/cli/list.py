@@ -12,10 +12,10 @@ import textwrap
 import warnings
 from typing import Any
 
+from gavatar_runtime.components import Component
 from gavatar_runtime.errors import UserError, did_you_mean, exit_cleanly
-from gavatar_runtime.registry import Component
 
-from ..extras import install_command
+from ..optional import install_command
 from ..registry import REGISTRIES, PluginFailure, load_plugins
 
 DESCRIPTION = "List every registered component: options with types and defaults, origin, what it needs."

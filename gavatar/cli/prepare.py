@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gavatar_runtime.errors import UserError, exit_cleanly
 
-from ..extras import requires_extra
+from ..optional import requires_extra
 
 MOST_FRAMES, LARGEST = 200, 1024  # of raw video; pixels of the longer side
 FITTED_BETAS = 10  # official files have 16 or 300; beyond ten, one person's outline says next to nothing
@@ -112,7 +112,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def check(path: Path) -> int:
     """Print what a capture holds and what is wrong with it; 2 when anything is."""
-    from ..capture_check import check_capture
+    from ..capture.check import check_capture
     from ..registry import load_plugins
 
     load_plugins()

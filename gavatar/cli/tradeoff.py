@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gavatar_runtime.errors import UserError, exit_cleanly
 
-from ..extras import requires_extra
+from ..optional import requires_extra
 
 DESCRIPTION = (
     "Measure speed against accuracy of an avatar's tiers, levels of detail and temporal reuse on this machine."
@@ -50,16 +50,16 @@ def main(argv: list[str] | None = None) -> int:
 
     import numpy as np
 
-    from gavatar_runtime.avatar import Avatar
+    from gavatar_runtime.avatar.playing import Avatar
     from gavatar_runtime.bundle import read_bundle
     from gavatar_runtime.motions import read_motion
 
-    from ..build import open_capture
-    from ..files import write_json
-    from ..metrics import perceptual_metric
+    from ..capture.opening import open_capture
+    from ..images.metrics import perceptual_metric
+    from ..measure.ladder import Choice, machine, run_ladder, yardstick
+    from ..measure.ladder_report import figure, table
     from ..registry import load_plugins
-    from ..tradeoff import Choice, machine, run_ladder, yardstick
-    from ..tradeoff_report import figure, table
+    from ..storage import write_json
 
     if a.size < 16 or a.frames < 8:
         raise UserError("--size must be at least 16 and --frames at least 8")

@@ -9,7 +9,7 @@ import sys
 
 from gavatar_runtime.errors import UserError, did_you_mean, exit_cleanly
 
-from ..extras import requires_extra
+from ..optional import requires_extra
 
 USAGE = """gavatar-train: learn an avatar from a capture
 

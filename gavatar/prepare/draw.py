@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from gavatar_runtime.body import BodyData
-from gavatar_runtime.camera import Camera
+from gavatar_runtime.values.body import BodyData
+from gavatar_runtime.values.camera import Camera
 
 _SUBPIXEL = 4  # bits of cv2's fixed-point coordinates
 

@@ -13,12 +13,12 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from gavatar.body import SMPL_BODY_JOINTS, BodyData
-from gavatar.rotations import matrix_from_axis_angle
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.rotations import axis_angle_from_matrix
+from gavatar_runtime.geometry.rotations import axis_angle_from_matrix
+from gavatar_runtime.values.camera import Camera
 
+from ..body.skeleton import SMPL_BODY_JOINTS, BodyData
+from ..body.torch_rotations import matrix_from_axis_angle
 from .anatomy import joint_ranges
 from .initial import Observations, facing, observe, place
 from .landmarks import BONES, MIRROR, OFFSET_SIGMA, Landmarks

@@ -7,9 +7,9 @@ import itertools
 
 import numpy as np
 
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.rotations import matrix_from_quaternion, quaternion_from_matrix, rotation_between, slerp
+from gavatar_runtime.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, rotation_between, slerp
+from gavatar_runtime.values.camera import Camera
 
 from .landmarks import INDEX, MIRROR, Landmarks
 

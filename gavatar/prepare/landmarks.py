@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gavatar_runtime.body import SMPL_BODY_JOINTS, BodyData
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.values.body import SMPL_BODY_JOINTS, BodyData
 
 NAMES = (
     "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer",

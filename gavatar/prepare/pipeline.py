@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gavatar.body import BodyData
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.motion import Motion
-from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
+from gavatar_runtime.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
+from gavatar_runtime.values.camera import Camera
+from gavatar_runtime.values.motion import Motion
 
+from ..body.skeleton import BodyData
 from .fit import BodyFitter, Fit, FitOptions
 from .initial import DEFAULT_FOV, guess_camera
 from .silhouette import prepare_silhouettes

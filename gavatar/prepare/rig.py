@@ -8,9 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gavatar.body import SMPL_BODY_JOINTS, BodyData, joint_transforms
-from gavatar.rotations import matrix_from_axis_angle
-
+from ..body.skeleton import SMPL_BODY_JOINTS, BodyData, joint_transforms
+from ..body.torch_rotations import matrix_from_axis_angle
 from .landmarks import fold_hands, landmark_rows
 
 
@@ -82,7 +81,8 @@ class FitRig:
 
 
 def _skin(points: Tensor, weights: Tensor, transforms: Tensor) -> Tensor:
-    """`gavatar.skinning.skin` for points that all T frames share: (P, 3), (P, J), (T, J, 3, 4) -> (T, P, 3).
+    """`gavatar.avatar.torch_skinning.skin` for points that all T frames share: (P, 3), (P, J), (T, J, 3, 4) -> (T, P,
+    3).
 
     sum_j w_j A_j [x, 1] as one product of (P, 4 J) and (4 J, 3 T), which spares a blended matrix per point and frame.
     """

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gavatar_runtime.spacing import evenly_spaced
+from gavatar_runtime.geometry.spacing import evenly_spaced
 
 WORK_SIDE = 320  # pixels of a mask's longer side during the fit: half a pixel there is about 3 mm on a person
 

@@ -20,8 +20,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.values.camera import Camera
 
 from .detect import Detector
 from .landmarks import Landmarks, read_landmarks

@@ -10,7 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.spacing import evenly_spaced
+from gavatar_runtime.geometry.spacing import evenly_spaced
 
 from .landmarks import Landmarks
 from .matting import refine_mask

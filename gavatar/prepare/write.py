@@ -14,14 +14,14 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from gavatar.body import BodyData
-from gavatar.capture import CAPTURE_VERSION
-from gavatar.files import write_image, write_json, write_motion
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.motion import Motion
-from gavatar_runtime.spacing import evenly_spaced
+from gavatar_runtime.geometry.spacing import evenly_spaced
+from gavatar_runtime.values.camera import Camera
+from gavatar_runtime.values.motion import Motion
 
+from ..body.skeleton import BodyData
+from ..capture.capture import CAPTURE_VERSION
+from ..storage import write_image, write_json, write_motion
 from .draw import body_mask, contact_sheet, iou, overlay
 from .source import Source
 

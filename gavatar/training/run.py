@@ -8,13 +8,14 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.motion import Motion
+from gavatar_runtime.values.motion import Motion
 
-from ..build import AvatarBuild, build_avatar, capture_on_body, open_capture, resolve_body
-from ..capture import Capture, View
+from ..assemble import AvatarBuild, build_avatar, capture_on_body, resolve_body
+from ..capture.capture import Capture, View
+from ..capture.opening import open_capture
 from ..config import TrainConfig, check
-from ..files import atomic, load_tensors
-from ..motion import MotionTable
+from ..storage import atomic, load_tensors
+from .motion_table import MotionTable
 from .stage import REFUSED, STAGE_FILES
 from .trainer import Trainer, resolved
 
@@ -70,7 +71,7 @@ def read_config(path: Path) -> TrainConfig:
 @dataclasses.dataclass
 class Run:
     """A trained run, opened. stage: of the avatar that was loaded. uv: side of the atlas it ended at. pixel: metres of
-    the person that a pixel of the training images spanned (`gavatar_runtime.detail.as_trained`)."""
+    the person that a pixel of the training images spanned (`gavatar_runtime.decoding.detail.as_trained`)."""
 
     directory: Path
     config: TrainConfig

@@ -14,18 +14,18 @@ from tqdm import tqdm
 from gavatar_runtime.errors import UserError
 
 from ..config import StageConfig
-from ..files import load_tensors, save_tensors, write_image
 from ..losses import LossInputs, MotionState
-from ..motion import RowAdam, scale_gradient, shared_frames
-from .data import Footage
-from .exposure import RATE as EXPOSURE_RATE
-from .facing import facing_texels
-from .mending import mend_outliers
+from ..storage import load_tensors, save_tensors, write_image
+from .footage import Footage
+from .motion_table import RowAdam, scale_gradient, shared_frames
 from .preview import as_image, side_by_side
+from .remedies.acceptance import dynamics_verdict, held_out_rows, refuse_worse_poses, view_errors
+from .remedies.exposure import RATE as EXPOSURE_RATE
+from .remedies.facing import facing_texels
+from .remedies.filling import fill_unseen
+from .remedies.outliers import mend_outliers
+from .remedies.shape import Shape
 from .schedule import background_at, batch_rows, level_at, lr_factor, sharing_width
-from .shape import Shape
-from .unseen import fill_unseen
-from .verdict import dynamics_verdict, held_out_rows, refuse_worse_poses, view_errors
 
 if TYPE_CHECKING:
     from .trainer import Trainer

@@ -13,17 +13,18 @@ from tqdm import tqdm
 
 from gavatar_runtime.errors import UserError
 
-from ..build import AvatarBuild, build_avatar, build_rasterizer, capture_on_body, choose_device, open_capture
-from ..capture import View
+from ..assemble import AvatarBuild, build_avatar, build_rasterizer, capture_on_body, choose_device
+from ..capture.capture import View
+from ..capture.opening import open_capture
 from ..config import TrainConfig
-from ..files import load_tensors, write_json, write_motion
 from ..losses import LossComposer
-from ..motion import MotionTable
-from ..precision import mixed
-from .data import Footage, footage, load_full
-from .exposure import Exposure
+from ..storage import load_tensors, write_json, write_motion
+from .footage import Footage, footage, load_full
 from .memory import keep_freed_memory
-from .shape import Shape
+from .motion_table import MotionTable
+from .precision import mixed
+from .remedies.exposure import Exposure
+from .remedies.shape import Shape
 from .stage import CHECKPOINT, Stage
 
 

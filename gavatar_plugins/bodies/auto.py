@@ -6,7 +6,7 @@ import dataclasses
 import warnings
 from typing import Any
 
-from gavatar.body_files import FAMILIES, find_model
+from gavatar.body.official_files import FAMILIES, find_model
 from gavatar.registry import BODIES
 from gavatar_runtime.errors import UserError, did_you_mean
 

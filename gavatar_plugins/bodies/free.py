@@ -9,7 +9,7 @@ import importlib.resources
 import numpy as np
 
 from gavatar.registry import BODIES
-from gavatar_runtime.body import BodyData
+from gavatar_runtime.values.body import BodyData
 
 BODY_FILE = "gavatar_body_smplh.npz"
 

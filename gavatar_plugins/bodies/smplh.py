@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from gavatar.body_files import official_body
+from gavatar.body.official_files import official_body
 from gavatar.registry import BODIES
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gavatar.build import capture_format
-from gavatar.capture import Capture
+from gavatar.capture.capture import Capture
+from gavatar.capture.opening import capture_format
 from gavatar.registry import CAPTURES, NoOptions
 from gavatar_runtime.errors import Faults
 

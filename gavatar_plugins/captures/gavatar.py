@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gavatar.capture import Capture, read_capture
+from gavatar.capture.capture import Capture, read_capture
 from gavatar.registry import CAPTURES, NoOptions
 from gavatar_runtime.errors import Faults
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from gavatar.capture import Capture, View, read_gray
-from gavatar.foreign import arrays, camera, check_motion, every_tenth, images_of, matrix, npy_mask
-from gavatar.placement import Placement, upright
+from gavatar.capture.capture import Capture, View, read_gray
+from gavatar.capture.placement import Placement, upright
+from gavatar.capture.reading import arrays, camera, check_motion, every_tenth, images_of, matrix, npy_mask
 from gavatar.registry import CAPTURES
 from gavatar_runtime.errors import Faults, UserError, frames_named
-from gavatar_runtime.motion import Motion
 from gavatar_runtime.motions import read_motion
+from gavatar_runtime.values.motion import Motion
 
 CAM = "cam0"
 # First, last and step of train, val and test: InstantAvatar's confs/dataset/{peoplesnapshot,neuman}, ends included

@@ -8,16 +8,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gavatar.capture import Capture, View, read_image
-from gavatar.foreign import camera, matrix, npy_mask, require
-from gavatar.placement import Placement, levelled
+from gavatar.capture.capture import Capture, View, read_image
+from gavatar.capture.placement import Placement, levelled
+from gavatar.capture.reading import camera, matrix, npy_mask, require
 from gavatar.registry import CAPTURES
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import Faults, UserError
-from gavatar_runtime.joblib_file import load_joblib
-from gavatar_runtime.motion import Motion
-from gavatar_runtime.numpy_file import load_npy
-from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
+from gavatar_runtime.formats.joblib_file import load_joblib
+from gavatar_runtime.formats.numpy_file import load_npy
+from gavatar_runtime.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
+from gavatar_runtime.values.camera import Camera
+from gavatar_runtime.values.motion import Motion
 
 CAM = "cam0"
 MODELS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "OPENCV": 8}  # COLMAP's, by number of parameters

@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from gavatar.capture import Capture, View
-from gavatar.foreign import IMAGES, arrays, camera, check_motion, image_size, images_of
-from gavatar.placement import Placement, upright
+from gavatar.capture.capture import Capture, View
+from gavatar.capture.placement import Placement, upright
+from gavatar.capture.reading import IMAGES, arrays, camera, check_motion, image_size, images_of
 from gavatar.registry import CAPTURES
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import Faults, UserError
-from gavatar_runtime.motion import Motion, joined
 from gavatar_runtime.motions import read_motion
+from gavatar_runtime.values.camera import Camera
+from gavatar_runtime.values.motion import Motion, joined
 
 
 @dataclasses.dataclass

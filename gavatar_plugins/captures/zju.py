@@ -9,15 +9,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from gavatar.capture import Capture, View, read_image
-from gavatar.foreign import camera, image_size, matrix, pose_field, require
-from gavatar.placement import Placement, upright
+from gavatar.capture.capture import Capture, View, read_image
+from gavatar.capture.placement import Placement, upright
+from gavatar.capture.reading import camera, image_size, matrix, pose_field, require
 from gavatar.registry import CAPTURES
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import Faults, UserError
-from gavatar_runtime.motion import Motion
-from gavatar_runtime.numpy_file import load_npy
-from gavatar_runtime.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from gavatar_runtime.formats.numpy_file import load_npy
+from gavatar_runtime.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from gavatar_runtime.values.camera import Camera
+from gavatar_runtime.values.motion import Motion
 
 TRAINING_CAMERAS = (0, 6, 12, 18)
 # Neural Body's configs/zju_mocap_exp: first training frame and their number; 300 from the first elsewhere

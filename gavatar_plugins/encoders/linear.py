@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from gavatar.avatar.points import check_resolution
 from gavatar.registry import ENCODERS
-from gavatar.surface import check_resolution
-from gavatar_runtime.body import SMPL_BODY_JOINTS
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.surface import Surface
+from gavatar_runtime.values.body import SMPL_BODY_JOINTS
+from gavatar_runtime.values.surface import Surface
 
 GAIN = 5.0  # of the parameters, so that a rate which suits a network's weights suits the maps
 # what a surface that scatters evenly returns of light of degree 2 beside degree 1 (Ramamoorthi & Hanrahan 2001, eq. 9)

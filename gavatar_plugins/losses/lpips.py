@@ -6,9 +6,9 @@ import dataclasses
 
 from torch import Tensor
 
+from gavatar.images.lpips import Lpips as LpipsNetwork
+from gavatar.images.perceptual import cheaper_pair
 from gavatar.losses import LossConfig, LossInputs, check_size, step_seed
-from gavatar.lpips import Lpips as LpipsNetwork
-from gavatar.perceptual import cheaper_pair
 from gavatar.registry import LOSSES
 
 
@@ -37,7 +37,7 @@ class LpipsConfig(LossConfig):
     needs="backbone weights (GAVATAR_LPIPS_BACKBONE) and the lpips package",
 )
 class Lpips:
-    """Mean over the batch of LPIPS; UserError at once when weights are missing. See `gavatar.lpips`."""
+    """Mean over the batch of LPIPS; UserError at once when weights are missing. See `gavatar.images.lpips`."""
 
     def __init__(self, config: LpipsConfig):
         check_size("losses.lpips.crop", config.crop)

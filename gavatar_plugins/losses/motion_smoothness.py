@@ -8,9 +8,9 @@ import math
 import torch
 from torch import Tensor
 
+from gavatar.body.torch_rotations import rotation_vector_from_matrix
 from gavatar.losses import LossConfig, LossInputs
 from gavatar.registry import LOSSES
-from gavatar.rotations import rotation_vector_from_matrix
 from gavatar_runtime.errors import UserError
 
 # Accelerations are stated per square thirtieth of a second: then the penalty on a jitter of a given angle at 30 frames

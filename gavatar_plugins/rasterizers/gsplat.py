@@ -9,12 +9,12 @@ import subprocess
 import torch
 from torch import Tensor
 
-from gavatar.extras import import_from_extra
+from gavatar.optional import import_from_extra
 from gavatar.registry import RASTERIZERS
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.gaussians import Gaussians, Rendering
-from gavatar_runtime.rasterizers.rules import LOW_PASS, NEAR
+from gavatar_runtime.render.rasterizers.rules import LOW_PASS, NEAR
+from gavatar_runtime.values.camera import Camera
+from gavatar_runtime.values.gaussians import Gaussians, Rendering
 
 from .torch_projection import FIELDS, finite_mask
 
@@ -55,8 +55,8 @@ def _missing() -> str:
 class GsplatRasterizer:
     """Splatting of float32 CUDA tensors, with gradients to every field and to the background.
 
-    `rasterizer(gaussians, camera, background) -> Rendering`, as `gavatar_runtime.rasterizers.rules` says, but for what
-    is fixed in gsplat's kernels (gsplat 1.5.3, `RasterizeToPixels3DGS{Fwd,Bwd}.cu`, `Utils.cuh`):
+    `rasterizer(gaussians, camera, background) -> Rendering`, as `gavatar_runtime.render.rasterizers.rules` says, but
+    for what is fixed in gsplat's kernels (gsplat 1.5.3, `RasterizeToPixels3DGS{Fwd,Bwd}.cu`, `Utils.cuh`):
 
     - alpha is clamped at 0.999, not at ALPHA_MAX, and a clamped alpha passes no gradient to the geometry and opacity
       (docs/rasterizers.md has what that makes: 66 dB and more);

@@ -11,10 +11,10 @@ from torch.autograd.function import once_differentiable
 
 from gavatar.registry import RASTERIZERS
 from gavatar_runtime import native_library as nl
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.gaussians import Gaussians, Rendering
-from gavatar_runtime.rasterizers.native_options import NativeOptions
+from gavatar_runtime.render.rasterizers.native_options import NativeOptions
+from gavatar_runtime.values.camera import Camera
+from gavatar_runtime.values.gaussians import Gaussians, Rendering
 
 SPARE_FRAMES = 16  # frames whose memory waits for the next forward; a batch has fewer
 
@@ -35,7 +35,8 @@ class NativeRasterizerConfig(NativeOptions):
 class NativeRasterizer:
     """Exact splatting of float32 CPU tensors, with gradients to every field and to the background.
 
-    `rasterizer(gaussians, camera, background) -> Rendering`, following `gavatar_runtime.rasterizers.rules`. Results and
+    `rasterizer(gaussians, camera, background) -> Rendering`, following `gavatar_runtime.render.rasterizers.rules`.
+    Results and
     gradients are the same to the last bit whatever the number of threads. Raises UserError for float64 or CUDA
     tensors, which rasterizer=torch takes, and where the kernel was not compiled.
     """

@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 
 from gavatar.registry import RASTERIZERS, NoOptions
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.gaussians import Gaussians, Rendering
-from gavatar_runtime.rasterizers.numpy import render
+from gavatar_runtime.render.rasterizers.numpy import render
+from gavatar_runtime.values.camera import Camera
+from gavatar_runtime.values.gaussians import Gaussians, Rendering
 
 from .torch_projection import check_dtype
 

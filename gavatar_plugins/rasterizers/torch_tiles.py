@@ -1,4 +1,5 @@
-"""The differentiable reference rasterizer in plain torch: exact to `gavatar_runtime.rasterizers.rules`, any device.
+"""The differentiable reference rasterizer in plain torch: exact to `gavatar_runtime.render.rasterizers.rules`, any
+device.
 
 A frame goes through four steps:
 
@@ -27,10 +28,10 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from gavatar.registry import RASTERIZERS
-from gavatar_runtime.camera import Camera
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.gaussians import Gaussians, Rendering
-from gavatar_runtime.rasterizers.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_STOP
+from gavatar_runtime.render.rasterizers.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_STOP
+from gavatar_runtime.values.camera import Camera
+from gavatar_runtime.values.gaussians import Gaussians, Rendering
 
 from .torch_projection import FIELDS, check_dtype, finite_mask, pixel_bounds, project, visible_in_order
 

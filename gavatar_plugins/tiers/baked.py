@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from gavatar.export.tier_source import TierSource
 from gavatar.registry import TIERS, NoOptions
-from gavatar.tiers import TierSource
 from gavatar_runtime.bundle import pack_arrays
 
 

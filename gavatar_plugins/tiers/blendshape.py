@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 
-from gavatar.distillation import distil
+from gavatar.export.distillation import distil
+from gavatar.export.tier_source import TierSource
 from gavatar.registry import TIERS
-from gavatar.tiers import TierSource
 from gavatar_runtime.bundle import pack_arrays
 
 

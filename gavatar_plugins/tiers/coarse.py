@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from gavatar.graphs import decoder_model
+from gavatar.export.onnx_graphs import decoder_model
+from gavatar.export.tier_source import TierSource, upsampling
 from gavatar.registry import TIERS
-from gavatar.tiers import TierSource, upsampling
 from gavatar_runtime.bundle import pack_arrays
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from gavatar.export.tier_source import TierSource
 from gavatar.registry import TIERS, NoOptions
-from gavatar.tiers import TierSource
 
 
 @TIERS.register("full", summary="the networks as trained, float32")

@@ -8,12 +8,12 @@ import numpy as np
 import onnx
 
 from gavatar.attributes import encoder_inputs
-from gavatar.graphs import decoder_model, encoder_model
-from gavatar.quantization import quantized
+from gavatar.export.onnx_graphs import decoder_model, encoder_model
+from gavatar.export.quantization import quantized
+from gavatar.export.tier_source import TierSource
 from gavatar.registry import TIERS
-from gavatar.tiers import TierSource
-from gavatar_runtime.pose_inputs import pose_inputs
-from gavatar_runtime.spacing import evenly_spaced
+from gavatar_runtime.decoding.pose_inputs import pose_inputs
+from gavatar_runtime.geometry.spacing import evenly_spaced
 
 
 @dataclasses.dataclass

@@ -17,11 +17,11 @@ from unittest import mock
 import numpy as np
 import torch
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
 from fake_chumpy import fake_modules
 from official_bodies import random_arrays, uv_arrays, write_npz, write_smpl_pickle
 
-from gavatar.body import PosedBody
+from gavatar.body.skeleton import PosedBody
 from gavatar.registry import BODIES, load_plugins
 
 VERTICES = {"smpl": 6890, "smplh": 6890, "smplx": 10475}  # their code picks landmarks by vertex number

@@ -15,10 +15,10 @@ from splat_scenes import as_torch, random_scene, simple_camera
 from gavatar.registry import RASTERIZERS
 from gavatar_plugins.rasterizers import gsplat as plugin
 from gavatar_plugins.rasterizers.torch_projection import project
-from gavatar_runtime.camera import look_at
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.gaussians import Gaussians
-from gavatar_runtime.rasterizers.rules import ALPHA_MIN, LOW_PASS, NEAR, TRANSMITTANCE_STOP
+from gavatar_runtime.render.rasterizers.rules import ALPHA_MIN, LOW_PASS, NEAR, TRANSMITTANCE_STOP
+from gavatar_runtime.values.camera import look_at
+from gavatar_runtime.values.gaussians import Gaussians
 
 gsplat = pytest.importorskip("gsplat", minversion="1.5", reason="needs gsplat 1.5 (pip install 'gavatar[gpu]')")
 theirs = pytest.importorskip("gsplat.cuda._torch_impl")

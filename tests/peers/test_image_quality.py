@@ -10,9 +10,9 @@ import pytest
 import torch
 from torch import nn
 
-from gavatar.image_quality import psnr, ssim
-from gavatar.metrics import pa_mpjpe
-from gavatar.perceptual import INPUT_SCALE, INPUT_SHIFT, LiteFeatures, load_weights
+from gavatar.images.image_quality import psnr, ssim
+from gavatar.images.metrics import pa_mpjpe
+from gavatar.images.perceptual import INPUT_SCALE, INPUT_SHIFT, LiteFeatures, load_weights
 
 
 @pytest.fixture
@@ -114,7 +114,7 @@ def test_lpips_agrees_with_the_lpips_package(net, tmp_path, monkeypatch, pair):
     """Its own forward pass and linear weights over a random backbone, which stands in for torchvision's."""
     from importlib.util import find_spec
 
-    from gavatar.lpips import BACKBONES, Lpips
+    from gavatar.images.lpips import BACKBONES, Lpips
 
     if find_spec("lpips") is None:
         pytest.skip("the lpips package is not installed (pip install --no-deps lpips)")

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.joblib_file import load_joblib
+from gavatar_runtime.formats.joblib_file import load_joblib
 
 joblib = pytest.importorskip("joblib")
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 
 def test_what_joblib_writes_is_what_we_read(tmp_path):
@@ -50,7 +46,7 @@ def test_a_compressed_or_hostile_joblib_file_is_refused(tmp_path):
 def test_a_neuman_capture_whose_poses_joblib_wrote_opens(tmp_path):
     import foreign_captures
 
-    from gavatar.build import open_capture
+    from gavatar.capture.opening import open_capture
     from gavatar.registry import load_plugins
 
     load_plugins()
@@ -59,7 +55,7 @@ def test_a_neuman_capture_whose_poses_joblib_wrote_opens(tmp_path):
     posed, _ = expected["body"].posed(
         capture.motion.poses[2].astype(float), capture.motion.betas, capture.motion.trans[2]
     )
-    from gavatar.capture import View
+    from gavatar.capture.capture import View
 
     pixels = capture.camera(View("cam0", 2)).project(posed)[:, :2]
     np.testing.assert_allclose(pixels, expected["pixels"]["cam0", 2], atol=2e-3)  # as in test_foreign_captures.py

@@ -10,16 +10,16 @@ import torch
 from official_bodies import dressed_free_body, write_npz
 
 from gavatar.attributes import Attributes
-from gavatar.avatar import Avatar, AvatarConfig
-from gavatar.blendshapes import at_points, expression_of, pose_blendshapes_of
-from gavatar.body import Skeleton
-from gavatar.body_files import FAMILIES, read_body
-from gavatar.rotations import matrix_from_axis_angle
-from gavatar.skinning import dense_weights
-from gavatar.surface import sample_surface
-from gavatar_runtime.expression import Expression
-from gavatar_runtime.pose_blendshapes import PoseBlendshapes, Turns, canonical_rotations
-from gavatar_runtime.skinning import skin
+from gavatar.avatar.points import sample_surface
+from gavatar.avatar.torch_skinning import dense_weights
+from gavatar.avatar.trainable import Avatar, AvatarConfig
+from gavatar.body.blendshapes import at_points, expression_of, pose_blendshapes_of
+from gavatar.body.official_files import FAMILIES, read_body
+from gavatar.body.skeleton import Skeleton
+from gavatar.body.torch_rotations import matrix_from_axis_angle
+from gavatar_runtime.avatar.expression import Expression
+from gavatar_runtime.avatar.pose_blendshapes import PoseBlendshapes, Turns, canonical_rotations
+from gavatar_runtime.geometry.skinning import skin
 
 lbs = pytest.importorskip("smplx.lbs").lbs
 

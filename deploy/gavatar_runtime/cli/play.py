@@ -23,11 +23,11 @@ def main(argv: list[str] | None = None) -> int:
     from .. import native_library
     from ..bundle import read_bundle
     from ..motions import read_motion
-    from ..player import build_rasterizer, play
-    from ..selection import choose_tier
-    from ..writers import open_writer
+    from ..play.player import build_rasterizer, play
+    from ..play.selection import choose_tier
+    from ..play.staging import clip, open_avatar, staged
+    from ..play.writers import open_writer
     from .play_report import peak_memory_mb, show_progress, table, timing_report
-    from .staging import clip, open_avatar, staged
 
     motion = read_motion(arguments.motion, **options["motion"])
     motion = clip(motion, arguments.fps, arguments.seconds, arguments.frames)
@@ -73,7 +73,7 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.budget_ms:
         report |= {"budget_ms": arguments.budget_ms, "levels": avatar.report()}  # fmt: skip
     if arguments.json:
-        from ..files import write_json
+        from ..formats.files import write_json
 
         write_json(arguments.json, report)
     if not arguments.quiet:
@@ -83,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _default_output(avatar: str, motion: str) -> tuple[str, str]:
     """A name next to the bundle, and a note where it is a folder of frames for want of what writes videos."""
-    from ..video import INSTALL, find_encoder
+    from ..play.video import INSTALL, find_encoder
 
     path = Path(avatar).resolve()
     name = f"{path.parent / path.stem}_{motion}"

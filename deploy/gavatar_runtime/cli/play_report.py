@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ..player import WRITE, Timings
+from ..play.player import WRITE, Timings
 
 
 def timing_report(timings: Timings) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import UserError
-from ..motion import Motion
+from ..values.motion import Motion
 from .fields import KEYS, SmplFields, check_up
 from .source import MOTIONS
 

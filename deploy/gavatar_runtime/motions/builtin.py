@@ -11,9 +11,9 @@ import dataclasses
 import numpy as np
 
 from ..errors import UserError
-from ..motion import Motion
-from ..rotations import axis_angle_from_quaternion, quaternion_from_axis_angle
-from ..skeletons import FINGERS, SMPLH
+from ..geometry.rotations import axis_angle_from_quaternion, quaternion_from_axis_angle
+from ..values.motion import Motion
+from ..values.skeletons import FINGERS, SMPLH
 from .source import MOTIONS
 
 # Degrees about x, y, z of left-hand joints; the right side mirrors them. A standing person's arms hang a palm's width

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from ..bvh import read_bvh
 from ..errors import UserError
-from ..motion import Motion
-from ..retarget import retarget
-from ..rig_names import match_rig, read_mapping
+from ..formats.bvh_file import read_bvh
+from ..values.motion import Motion
+from .retarget import retarget
+from .rig_names import match_rig, read_mapping
 from .source import MOTIONS
 
 UNITS = {"auto": 0.0, "m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "ft": 0.3048}

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import Faults, UserError, frames_named
-from ..motion import HandParameters, Motion
-from ..rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from ..geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from ..values.motion import HandParameters, Motion
 
 FRAME_RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "fps", "frame_rate")
 WHOLE_KEYS = ("poses", "fullpose", "thetas", "smpl_poses", "pose")

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import UserError
-from ..motion import Motion
-from ..safe_pickle import load_pickle
-from ..torch_file import load_torch
+from ..formats.safe_pickle import load_pickle
+from ..formats.torch_file import load_torch
+from ..values.motion import Motion
 from .fields import SmplFields, check_up
 from .source import MOTIONS
 

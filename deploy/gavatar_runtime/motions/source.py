@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Protocol
 
+from ..components import Component, Registry
 from ..errors import UserError, did_you_mean
-from ..motion import Motion
 from ..plugins import load_entry_points
-from ..registry import Component, Registry
+from ..values.motion import Motion
 
 
 class MotionSource(Protocol):

@@ -13,11 +13,11 @@ from typing import Protocol
 import numpy as np
 
 from ..bundle import Bundle
-from ..detail import grown
+from ..components import Registry
+from ..decoding.detail import grown
+from ..decoding.residuals import Attributes
 from ..errors import UserError
-from ..registry import Registry
-from ..residuals import Attributes
-from ..surface import Surface
+from ..values.surface import Surface
 
 DEFAULT = "full"
 

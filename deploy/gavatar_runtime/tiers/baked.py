@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..registry import NoOptions
+from ..components import NoOptions
 from . import PLAYER_TIERS, Parts
 
 MEMBER = "baked.npz"

@@ -7,11 +7,11 @@ from time import perf_counter
 
 import numpy as np
 
-from ..body import SMPL_BODY_JOINTS
+from ..components import NoOptions
+from ..decoding.residuals import blendshapes, empty, packed
 from ..errors import UserError
-from ..registry import NoOptions
-from ..residuals import blendshapes, empty, packed
-from ..rotations import matrix_from_axis_angle
+from ..geometry.rotations import matrix_from_axis_angle
+from ..values.body import SMPL_BODY_JOINTS
 from . import PLAYER_TIERS, Parts
 from .baked import MEMBER as BAKED
 from .baked import baked_attributes

@@ -6,9 +6,9 @@ from time import perf_counter
 
 import numpy as np
 
-from ..network import Network
-from ..registry import NoOptions
-from ..residuals import empty, packed, upsample
+from ..components import NoOptions
+from ..decoding.network import Network
+from ..decoding.residuals import empty, packed, upsample
 from . import PLAYER_TIERS, Parts
 from .baked import MEMBER as BAKED
 from .baked import baked_attributes

@@ -6,11 +6,11 @@ from time import perf_counter
 
 import numpy as np
 
+from ..components import NoOptions
+from ..decoding.network import Network
+from ..decoding.pose_inputs import PoseInput, check_inputs
+from ..decoding.residuals import Attributes, empty
 from ..errors import UserError
-from ..network import Network
-from ..pose_inputs import PoseInput, check_inputs
-from ..registry import NoOptions
-from ..residuals import Attributes, empty
 from . import PLAYER_TIERS, Parts
 
 OUTPUTS = ("offsets", "colors", "scales")

@@ -1,0 +1,110 @@
+"""Keeping frames within a time budget while an avatar plays: temporal reuse first where networks run, then fewer
+Gaussians."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+
+import numpy as np
+
+from ..bundle import Bundle
+from ..errors import UserError
+from ..tiers import DEFAULT
+from ..values.gaussians import Gaussians
+from ..values.motion import Motion
+from .playing import Avatar
+
+REUSE = (1, 2, 4, 8)
+DETAIL = (0.75, 0.5, 0.375, 0.25)  # of the side of the atlas
+PATIENCE, RECOVERY = 4, 30  # frames looked at before it gets cheaper, and before it gets finer
+TYPICAL, NEARLY_ALL = 50, 90  # percentiles: over the budget is a typical frame, well under it are nearly all
+FAR = 2.0  # times the budget: so slow that two levels are skipped at once
+EASE = 0.6  # of the budget: what nearly all frames must stay under for a finer level to be tried
+SETTLE = 2  # frames after a change that say nothing: one was decoded before it, one opens the new level
+
+
+class AdaptiveAvatar:
+    """An avatar that changes its level so that its typical frame takes no more than `budget_s` seconds.
+
+    It looks at percentiles of the last frames at the present level, where one slow frame counts once: a running mean
+    carries it along. Where decodes are reused, a frame is the mean of a turn.
+
+    Plays like `Avatar` (`gaussians`, `stage_seconds`, and whatever else is asked of it at full detail); the
+    player tells it by `frame_took` how long each frame was. levels: (reuse, uv) from the finest; uv None is all.
+    Raises UserError for a budget that is not positive.
+    """
+
+    def __init__(self, bundle: Bundle, budget_s: float, *, tier: str = DEFAULT, threads: int | None = None):
+        if not budget_s > 0:
+            raise UserError(f"a budget of {1000 * budget_s:g} ms a frame is not possible: give a positive number")
+        self._make = lambda reuse, uv: Avatar(bundle, tier=tier, uv=uv, reuse=reuse, threads=threads)
+        self.budget_s = budget_s
+        self.finest = self._make(1, None)
+        side = self.finest.surface.resolution
+        reuses = REUSE if self.finest.networks else (1,)
+        uvs = [max(64, round(side * share)) for share in DETAIL]
+        self.levels = [(reuse, None) for reuse in reuses]
+        self.levels += [(reuses[-1], uv) for uv in dict.fromkeys(uvs) if uv < side]
+        self.level = 0
+        self.with_normals = False
+        self.frames: Counter[int] = Counter()  # by level
+        self._avatars = {0: self.finest}
+        self._recent: deque[float] = deque(maxlen=RECOVERY + REUSE[-1])
+        self._settling = 0
+        self._motion: Motion | None = None
+
+    def __getattr__(self, name: str):
+        if name == "finest":  # not there yet: the constructor failed
+            raise AttributeError(name)
+        return getattr(self.finest, name)
+
+    def __len__(self) -> int:
+        return len(self.finest)
+
+    def follow(self, motion: Motion) -> None:
+        """See `Avatar.follow`."""
+        self._motion = motion
+        for avatar in self._avatars.values():
+            avatar.follow(motion)
+
+    def gaussians(
+        self, pose: np.ndarray, trans: np.ndarray | None = None, expression: np.ndarray | None = None
+    ) -> Gaussians:
+        """The avatar in one pose at the present level (see `Avatar.gaussians`)."""
+        level = self.level
+        if level not in self._avatars:
+            self._avatars[level] = self._make(*self.levels[level])
+            if self._motion is not None:
+                self._avatars[level].follow(self._motion)
+        avatar = self._avatars[level]
+        avatar.with_normals = self.with_normals
+        result = avatar.gaussians(pose, trans, expression)
+        self.stage_seconds = avatar.stage_seconds
+        self.frames[level] += 1
+        return result
+
+    def frame_took(self, seconds: float) -> None:
+        """Note what a frame took and change the level for those to come."""
+        if self._settling:
+            self._settling -= 1
+            return
+        self._recent.append(seconds)
+        turn = self.levels[self.level][0]
+        costs = np.convolve(self._recent, np.full(turn, 1 / turn), "valid") if len(self._recent) >= turn else ()
+        step = 0
+        if len(costs) >= PATIENCE:
+            typical = np.percentile(costs[-PATIENCE:], TYPICAL)
+            step = 0 if typical <= self.budget_s else 1 if typical <= FAR * self.budget_s else 2
+        if len(costs) >= RECOVERY and np.percentile(costs[-RECOVERY:], NEARLY_ALL) < EASE * self.budget_s:
+            step = -1
+        level = min(max(0, self.level + step), len(self.levels) - 1)
+        if level != self.level:
+            self.level, self._settling = level, SETTLE
+            self._recent.clear()
+
+    def report(self) -> list[dict]:
+        """Frames played at each level that was used, the finest first."""
+        return [
+            {"reuse": self.levels[i][0], "uv": self.levels[i][1], "frames": count}
+            for i, count in sorted(self.frames.items())
+        ]

@@ -1,0 +1,65 @@
+"""Files of NumPy arrays, .npz and .npy, whose pickled members are data and nothing more (see `safe_pickle`)."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import UserError
+from .safe_pickle import loads
+
+
+def load_npz(path: str | os.PathLike, keys: Iterable[str] | None = None) -> dict[str, Any]:
+    """The arrays of an .npz by name (of `keys` those that it has, or all). Members that hold pickled objects are read
+    as `load_pickle` does. Raises UserError naming file and member."""
+    arrays = {}
+    try:
+        with zipfile.ZipFile(path) as file:
+            names = [n.removesuffix(".npy") for n in file.namelist() if n.endswith(".npy")]
+            for name in names if keys is None else [k for k in keys if k in names]:
+                arrays[name] = _npy(file.read(f"{name}.npy"), f"{path}: '{name}'")
+    except OSError as error:
+        raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        ValueError,
+        EOFError,
+        MemoryError,
+        RuntimeError,
+        NotImplementedError,
+    ) as error:
+        raise UserError(f"{path} is damaged or not an .npz file ({error})") from None
+    return arrays
+
+
+def load_npy(path: str | os.PathLike) -> Any:
+    """What an .npy file holds: an array, or the object of an array of one, as `np.save` writes a dictionary; read as
+    `load_pickle` does. Raises UserError naming the file."""
+    try:
+        return _npy(Path(path).read_bytes(), str(path))
+    except OSError as error:
+        raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
+    except (ValueError, EOFError, MemoryError) as error:
+        raise UserError(f"{path} is damaged or not an .npy file ({str(error).splitlines()[0]})") from None
+
+
+def _npy(data: bytes, source: str) -> Any:
+    stream = io.BytesIO(data)
+    version = np.lib.format.read_magic(stream)
+    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = header(stream)
+    if not dtype.hasobject:
+        stream.seek(0)
+        return np.lib.format.read_array(stream, allow_pickle=False)
+    value = loads(data[stream.tell() :], source)
+    if isinstance(value, np.ndarray) and value.dtype == object and shape == () and value.size == 1:
+        return value.reshape(-1)[0]
+    return value

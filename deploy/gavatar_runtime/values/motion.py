@@ -1,0 +1,101 @@
+"""A motion: poses of an SMPL-family skeleton over time."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..geometry.rotations import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
+
+
+@dataclasses.dataclass(frozen=True)
+class HandParameters:
+    """Hand poses that only a body model's own hand data turns into rotations (`body.Hands.pose`).
+
+    values: (T, 2, K), the left hand first: with `pca` coefficients of the model's first K principal components, else 45
+    axis-angle numbers. relative: about the model's mean hand (smplx: flat_hand_mean=False), else about the flat one.
+    """
+
+    values: np.ndarray
+    pca: bool = True
+    relative: bool = True
+
+
+@dataclasses.dataclass
+class Motion:
+    """T frames of a skeleton of J joints.
+
+    poses: (T, J, 3) axis-angle relative to the parent joint, radians. trans: (T, 3) metres, added after posing.
+    fps: frames per second. betas: (B,) shape coefficients or None. name: for messages and file names.
+    leg_length: metres from hip to ankle of the person whose `trans` this is, where that person is not the body's shape;
+    a body that plays the motion walks in proportion to its own legs. None leaves `trans` alone.
+    expression: (T, E) coefficients of SMPL-X's facial expressions or None. hands: what takes the fingers' place in
+    `poses` once a body is known, or None.
+    """
+
+    poses: np.ndarray
+    trans: np.ndarray
+    fps: float
+    betas: np.ndarray | None = None
+    name: str = "motion"
+    leg_length: float | None = None
+    expression: np.ndarray | None = None
+    hands: HandParameters | None = None
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def at(self, frame: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Pose (J, 3), translation (3,) and expression (E,) or None of one frame, as `Avatar.gaussians` takes them."""
+        return self.poses[frame], self.trans[frame], None if self.expression is None else self.expression[frame]
+
+    def taken(self, frames: np.ndarray | slice | list[int]) -> Motion:
+        """The motion of some frames, at the same rate."""
+        return self._changed(lambda array: array[frames])
+
+    def _changed(self, change: Callable[[np.ndarray], np.ndarray], **fields: Any) -> Motion:
+        """Every array of one row a frame, but those in `fields`, replaced by what `change` makes of it."""
+        arrays = {name: getattr(self, name) for name in ("poses", "trans", "expression") if name not in fields}
+        fields |= {name: change(array) for name, array in arrays.items() if array is not None}
+        if self.hands is not None:
+            fields["hands"] = dataclasses.replace(self.hands, values=change(self.hands.values))
+        return dataclasses.replace(self, **fields)
+
+    def resampled(self, fps: float) -> Motion:
+        """The motion at another frame rate: slerp per joint, all else linear; the first and last time are kept as
+        far as the new rate allows. One frame stays one frame."""
+        if len(self) < 2 or fps == self.fps:
+            return dataclasses.replace(self, fps=fps)
+        count = int(np.floor((len(self) - 1) / self.fps * fps + 1e-6)) + 1
+        time = np.minimum(np.arange(count) / fps * self.fps, len(self) - 1)
+        low = np.minimum(time.astype(int), len(self) - 2)
+        fraction = time - low
+        q = quaternion_from_axis_angle(self.poses.astype(np.float64))
+        poses = axis_angle_from_quaternion(slerp(q[low], q[low + 1], fraction[:, None]))
+
+        def between(array: np.ndarray) -> np.ndarray:
+            share = fraction.reshape(-1, *[1] * (array.ndim - 1))
+            return (array[low] * (1 - share) + array[low + 1] * share).astype(array.dtype)
+
+        return self._changed(between, poses=poses.astype(self.poses.dtype), fps=fps)
+
+
+def joined(motions: Sequence[Motion]) -> Motion:
+    """One motion after the other, with the first one's rate, shape and name; expression and hand parameters only where
+    all have them alike."""
+    first = motions[0]
+    fields = {name: np.concatenate([getattr(m, name) for m in motions]) for name in ("poses", "trans")}
+    expressions = [m.expression for m in motions]
+    same = all(e is not None and e.shape[1] == expressions[0].shape[1] for e in expressions)
+    hands = [m.hands for m in motions]
+    kinds = {None if h is None else (h.values.shape[2], h.pca, h.relative) for h in hands}
+    alike = len(kinds) == 1 and None not in kinds
+    return dataclasses.replace(
+        first,
+        **fields,
+        expression=np.concatenate(expressions) if same else None,
+        hands=dataclasses.replace(hands[0], values=np.concatenate([h.values for h in hands])) if alike else None,
+    )

@@ -1,0 +1,125 @@
+"""The body surface as points, one a texel of the UV atlas, and what a pose does to them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..errors import UserError
+from ..geometry.kinematics import invert_rigid, joint_transforms, moved_rest, skin, skinning_transforms
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Surface:
+    """N points on a body of J joints in its canonical pose, one for each valid texel of an R x R UV atlas.
+
+    Row 0 of the atlas is the top, v = 1: the texel of row i and column j has its centre at u = (j + 0.5) / R,
+    v = 1 - (i + 0.5) / R. A texel whose centre lies beside the atlas's charts but whose square touches one stands for
+    the nearest point of that chart: there alone, `face` and `barycentric` are not exactly at `uv`.
+
+    resolution: R. texel: (N,) int32, i * R + j. uv: (N, 2) float32 texel centres as (u, 1 - v), v DOWN, so that
+    `grid_sample(image, 2 * uv - 1, align_corners=False)` reads the texel's own value. face: (N,) int32.
+    barycentric: (N, 3) float32, weights of the face's corners. points: (N, 3) float32, metres, canonical pose.
+    normals: (N, 3) float32, unit, canonical pose. joint_index: (N, K) int32 and joint_weight: (N, K) float32, skinning
+    weights that sum to 1, in descending order; unused entries have index 0 and weight 0. spacing: (N,) float32, metres,
+    the square root of the canonical area of a texel on that face. joints: (J, 3) float64 rest joints, metres.
+    parents: (J,) int32, -1 for the root. A_canonical: (J, 4, 4) float64 rest-to-canonical skinning transforms.
+    weight_truncation: the largest sum of skinning weights that any point lost to the limit on K.
+    """
+
+    resolution: int
+    texel: np.ndarray
+    uv: np.ndarray
+    face: np.ndarray
+    barycentric: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    joint_index: np.ndarray
+    joint_weight: np.ndarray
+    spacing: np.ndarray
+    joints: np.ndarray
+    parents: np.ndarray
+    A_canonical: np.ndarray
+    weight_truncation: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.texel)
+
+    @property
+    def num_joints(self) -> int:
+        return len(self.parents)
+
+    @property
+    def root(self) -> int:
+        """Index of the root joint."""
+        return int(np.flatnonzero(self.parents < 0)[0])
+
+    def skin_transforms(self, poses: np.ndarray, shift: np.ndarray | None = None) -> np.ndarray:
+        """(..., J, 4, 4) canonical-to-posed transforms of the joints, A_live A_canonical^-1, without translation.
+
+        poses: (..., J, 3) axis-angle relative to the parent, radians. shift: (J, 3) metres that the rest joints are
+        moved by (an expression moves those of the face), or None. The result has the dtype of `poses`; it is computed
+        in float64. Raises ValueError when the joints are not J.
+        """
+        poses = np.asarray(poses)
+        _check_poses(poses, self.num_joints)
+        dtype = poses.dtype if np.issubdtype(poses.dtype, np.floating) else np.dtype(np.float32)
+        joints, A_canonical = self.joints, self.A_canonical
+        if shift is not None:
+            joints = joints + shift
+            A_canonical = moved_rest(A_canonical, joints, self.parents)
+        T = joint_transforms(poses.astype(np.float64), joints, self.parents)
+        return (skinning_transforms(T, joints) @ invert_rigid(A_canonical)).astype(dtype)
+
+    def posed(self, poses: np.ndarray) -> np.ndarray:
+        """(N, 3) float32 points of the surface in one pose (J, 3), metres, without translation."""
+        A = self.skin_transforms(np.asarray(poses, np.float32))
+        return skin(self.points, self.joint_index, self.joint_weight, A)
+
+    def take(self, rows: np.ndarray) -> Surface:
+        """The surface with only the points `rows` (M,), in that order."""
+        names = ("texel", "uv", "face", "barycentric", "points", "normals", "joint_index", "joint_weight", "spacing")
+        return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """The surface as named arrays, none of them objects: fit for `np.savez` and for `from_arrays`."""
+        return {field.name: np.asarray(getattr(self, field.name)) for field in dataclasses.fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray], source: str = "surface") -> Surface:
+        """The surface that `to_arrays` took apart; `source` names the file in messages.
+
+        Raises UserError for a missing array, for one whose shape does not fit the others and for an index out of range.
+        """
+        names = [field.name for field in dataclasses.fields(cls)]
+        missing = [name for name in names if name not in arrays]
+        if missing:
+            raise UserError(f"{source}: array '{missing[0]}' is missing; export the surface again")
+        values = {name: np.asarray(arrays[name]) for name in names}
+        _check(values, source)
+        values["resolution"] = int(values["resolution"])
+        values["weight_truncation"] = float(values["weight_truncation"])
+        return cls(**values)
+
+
+def _check_poses(poses: np.ndarray, num_joints: int) -> None:
+    if poses.shape[-2:] != (num_joints, 3):
+        raise ValueError(f"poses have shape {poses.shape}, expected (..., {num_joints}, 3)")
+
+
+def _check(values: Mapping[str, np.ndarray], source: str) -> None:
+    N, J = values["texel"].size, values["parents"].size
+    K = values["joint_index"].shape[-1] if values["joint_index"].ndim else 0
+    expected = {
+        "resolution": (), "texel": (N,), "uv": (N, 2), "face": (N,), "barycentric": (N, 3), "points": (N, 3),
+        "normals": (N, 3), "joint_index": (N, K), "joint_weight": (N, K), "spacing": (N,), "joints": (J, 3),
+        "parents": (J,), "A_canonical": (J, 4, 4), "weight_truncation": (),
+    }  # fmt: skip
+    for name, shape in expected.items():
+        if values[name].shape != shape:
+            raise UserError(f"{source}: array '{name}' has shape {values[name].shape}, not {shape}; export it again")
+    for name, limit in (("texel", int(values["resolution"]) ** 2), ("joint_index", J)):
+        if N and not 0 <= values[name].min() <= values[name].max() < limit:
+            raise UserError(f"{source}: array '{name}' points outside 0 to {limit - 1}; export it again")

@@ -1,0 +1,127 @@
+"""From a configuration to live objects: body, avatar, rasterizer."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from typing import Any
+
+import numpy as np
+import torch
+
+from gavatar_runtime.decoding.pose_inputs import pose_inputs
+from gavatar_runtime.errors import UserError
+from gavatar_runtime.motions.fitting import EXPRESSIONS, HAND_DATA, fit_motion
+from gavatar_runtime.values.body import BodyData
+from gavatar_runtime.values.surface import Surface
+
+from .attributes import encoder_inputs
+from .avatar.points import check_resolution, sample_surface
+from .avatar.trainable import Avatar, AvatarConfig
+from .body.skeleton import Body, Skeleton
+from .capture.capture import Capture
+from .registry import BODIES, DECODERS, ENCODERS, RASTERIZERS, split_node
+
+
+def choose_device(name: str) -> torch.device:
+    """`auto` is CUDA when there is one, else the CPU."""
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise UserError(f"device '{name}' is not one torch knows: use auto, cpu or cuda") from None
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise UserError("device=cuda was asked for, but torch sees no CUDA device: use device=cpu")
+    return device
+
+
+def build_rasterizer(node: dict[str, Any], avatar: Avatar | None = None):
+    """The rasterizer of a composed node. avatar: what it is to draw, which then gives normals if it wants some."""
+    rasterizer = RASTERIZERS.build(*split_node(node))
+    if avatar is not None:
+        avatar.with_normals = getattr(rasterizer, "wants_normals", False)
+    return rasterizer
+
+
+def resolve_body(node: dict[str, Any], capture: Capture) -> dict[str, Any]:
+    """The node of a body, `auto` replaced by the body that the capture's poses are of."""
+    name, options = split_node(node)
+    return BODIES[name].factory.choose(BODIES.options(name, options), capture) if name == "auto" else node
+
+
+def build_body(node: dict[str, Any], capture: Capture) -> Body:
+    """The body of a composed node for a capture."""
+    return BODIES.build(*split_node(resolve_body(node, capture)))
+
+
+def capture_on_body(capture: Capture, data: BodyData) -> Capture:
+    """The capture with its motion placed on a body (`Capture.placed`) and one rotation a joint of it, matched by the
+    joints' names: fingers stay fingers, whether the poses come with a jaw or without. Moving joints that the body lacks
+    are named in a warning."""
+    capture = capture.placed(data)
+    fitted = {}
+    for key in ("motion", "truth"):
+        motion = getattr(capture, key)
+        if motion is not None:
+            fitted[key], ignored = fit_motion(
+                motion, data.joint_names, data.rest_pose, hands=data.hands, num_expression=data.num_expression
+            )
+            others = [name for name in ignored if name in (HAND_DATA, EXPRESSIONS)]
+            joints = [name for name in ignored if name not in others]
+            if joints and key == "motion":
+                warnings.warn(f"body '{data.name}' lacks joints that move in {capture.path}: {', '.join(joints)}")
+            if others and key == "motion":
+                warnings.warn(
+                    f"body '{data.name}' has no {' and no '.join(others)}: those of {capture.path} are ignored"
+                )
+    return dataclasses.replace(capture, **fitted)
+
+
+@dataclasses.dataclass
+class AvatarBuild:
+    """An untrained avatar and what it stands on. surface(R) samples the body's atlas at R x R texels, cached."""
+
+    body: Body
+    betas: np.ndarray | None
+    avatar: Avatar
+    canonical: dict[int, Surface] = dataclasses.field(default_factory=dict)
+
+    def surface(self, resolution: int) -> Surface:
+        if resolution not in self.canonical:
+            self.canonical[resolution] = sample_surface(self.body.data, self.betas, resolution)
+        return self.canonical[resolution]
+
+    def reshape(self, betas: np.ndarray) -> None:
+        """The same avatar on the body of other shape coefficients; what was sampled of the former is forgotten."""
+        device = self.avatar.features.device
+        self.betas = betas
+        self.canonical.clear()
+        self.avatar.skeleton = Skeleton(self.body.data, betas).to(device)
+
+    def encoder_tensors(self, poses: np.ndarray) -> list[torch.Tensor]:
+        """What the avatar's encoder looks at of (B, J, 3) axis-angle poses, on the avatar's device."""
+        encoder = self.avatar.encoder
+        arrays = pose_inputs(self.surface(encoder.map_size), np.asarray(poses, np.float32), encoder_inputs(encoder))
+        return [torch.from_numpy(array).to(self.avatar.features.device) for array in arrays]
+
+
+def build_avatar(
+    body_node: dict, encoder_node: dict, decoder_node: dict, avatar: AvatarConfig, capture: Capture, seed: int
+) -> AvatarBuild:
+    """An avatar of the capture's body, shaped by its betas, with freshly initialised parameters (a function of `seed`
+    alone)."""
+    body = build_body(body_node, capture)
+    if avatar.pose_blendshapes and body.data.posedirs is None:
+        raise UserError(
+            f"avatar.pose_blendshapes=true: body '{body.data.name}' has no pose blendshapes; leave the option out"
+        )
+    betas = capture.placed(body.data).motion.betas
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        decoder = DECODERS.build(*split_node(decoder_node), in_channels=avatar.features)
+        encoder = ENCODERS.build(*split_node(encoder_node), channels=avatar.features, map_size=None)
+        if encoder is not None:
+            check_resolution(encoder.map_size, "encoder.map_size")
+        skeleton = Skeleton(body.data, betas)
+        return AvatarBuild(body, betas, Avatar(avatar, skeleton, encoder, decoder))

@@ -1,0 +1,81 @@
+"""The measured ladder as a table and as a figure of its Pareto front."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from ..evaluation.report import format_table
+from ..storage import atomic
+from .ladder import Row
+
+HEADER = [
+    "choice", "Gaussians", "frame ms", "10-90 %", "fps", "vs full", "worst", "footage", "worst", "perceptual",
+    "memory MB", "first s", "bundle MB", "",
+]  # fmt: skip
+
+
+def _text(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def table(rows: list[Row], machine: str, perceptual: str | None) -> str:
+    """One line a choice, with what a reader must know to use the numbers."""
+    lines = [
+        [
+            row.choice.label,
+            str(row.gaussians),
+            _text(row.median_ms, 2),
+            f"{row.spread_ms[0]:.1f}-{row.spread_ms[1]:.1f}",
+            _text(row.fps, 1),
+            _text(row.psnr_vs_full, 2),
+            _text(row.worst_psnr_vs_full, 2),
+            _text(row.psnr_vs_footage, 2),
+            _text(row.worst_psnr_vs_footage, 2),
+            _text(row.perceptual_vs_full, 4),
+            _text(row.memory_mb, 0),
+            _text(row.first_frame_s, 2),
+            _text(row.bundle_mb, 1),
+            "dominated" if row.dominated else "",
+        ]
+        for row in rows
+    ]
+    notes = [
+        f"{rows[0].width} x {rows[0].height} pixels, {os.cpu_count()} cores, {machine}; frame times are medians after "
+        "a warm-up, writing excluded",
+        "vs full, footage, worst: PSNR of whole frames on white, dB; dominated: another choice is faster and closer",
+    ]
+    if perceptual:
+        notes.append(f"perceptual: distance from the full model, {perceptual} (not LPIPS)")
+    return format_table(HEADER, lines) + "\n\n" + "\n".join(notes)
+
+
+def figure(rows: list[Row], path: str | Path, title: str) -> None:
+    """Frames per second against PSNR from the full model; the front as a line, dominated choices hollow. The full
+    model itself is drawn at the top edge."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    chart, axis = pyplot.subplots(figsize=(8, 5))
+    finite = [row.psnr_vs_full for row in rows if row.psnr_vs_full is not None and row.psnr_vs_full < 99]
+    top = max(finite, default=40) + 4
+    place = {id(row): (row.fps, min(row.psnr_vs_full or 0, top)) for row in rows}
+    front = sorted(place[id(row)] for row in rows if not row.dominated)
+    axis.plot(*zip(*front, strict=True), color="0.7", zorder=1)
+    colors = {tier: f"C{i}" for i, tier in enumerate(dict.fromkeys(row.choice.tier for row in rows))}
+    for row in rows:
+        x, y = place[id(row)]
+        color = colors[row.choice.tier]
+        axis.scatter([x], [y], s=36, facecolors="none" if row.dominated else color, edgecolors=color, zorder=2)
+        axis.annotate(row.choice.label, (x, y), fontsize=6, xytext=(4, 3), textcoords="offset points")
+    axis.set_xscale("log")
+    axis.set_xlabel("frames per second")
+    axis.set_ylabel("PSNR against the full model, dB (top: the full model itself)")
+    axis.set_title(title, fontsize=9)
+    axis.grid(alpha=0.3)
+    chart.tight_layout()
+    with atomic(path) as temporary:
+        chart.savefig(temporary, dpi=120)
+    pyplot.close(chart)

@@ -1,0 +1,142 @@
+"""Training images, decoded once and kept in memory at the level's size."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from gavatar_runtime.values.camera import Camera
+
+from ..capture.capture import Capture, View
+from .remedies.matte import matted
+
+
+@dataclasses.dataclass
+class Footage:
+    """Views of a capture at one image scale, cropped to windows of one common size.
+
+    views: V views. cameras: their (cropped) cameras. color: (V, 3, H, W) uint8 premultiplied. alpha: (V, H, W) uint8.
+    known: (V, H, W) uint8, 0 where footage and mask are not believed (see `edge_known`), None where all is.
+    """
+
+    views: list[View]
+    cameras: list[Camera]
+    color: Tensor
+    alpha: Tensor
+    known: Tensor | None = None
+
+    def batch(self, rows: list[int], background: Tensor, device: torch.device) -> tuple[Tensor, Tensor]:
+        """(B, 3, H, W) footage composited over `background` (3,) and (B, H, W) masks, float32 in [0, 1]."""
+        color = self.color[rows].to(device).float() / 255
+        alpha = self.alpha[rows].to(device).float() / 255
+        return color + (1 - alpha[:, None]) * background[:, None, None].to(device), alpha
+
+    def believed(
+        self, rows: list[int], target: Tensor, mask: Tensor, render: Tensor, alpha: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Target and render (B, 3, H, W), mask and alpha (B, H, W), the first of each pair replaced by the second where
+        the footage is not believed, and the gradient of the second stopped there: no loss says anything about such a
+        pixel, whatever its windows or networks look at."""
+        if self.known is None:
+            return target, render, mask, alpha
+        known = self.known[rows].to(target.device).float() / 255
+        all_known = known[:, None].expand_as(target)
+        return (
+            torch.lerp(render.detach(), target, all_known),
+            torch.lerp(render.detach(), render, all_known),
+            torch.lerp(alpha.detach(), mask, known),
+            torch.lerp(alpha.detach(), alpha, known),
+        )
+
+
+def load_full(
+    capture: Capture, views: list[View], progress=iter, mask_matte: float = 0
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Every view as (H, W, 3) uint8 premultiplied colour and (H, W) uint8 alpha, at the capture's own size.
+
+    mask_matte: pixels inside a mask's border in which alpha is found anew (`matted`), where the footage shows what is
+    behind the person.
+    """
+    images = []
+    for view in progress(views):
+        if mask_matte > 0 and capture.background == "footage":
+            image, mask = capture.read(view)
+            color, alpha = matted(image[..., ::-1].astype(np.float32) / 255, mask.astype(np.float32) / 255, mask_matte)
+        else:
+            color, alpha = capture.load(view)
+        images.append((np.round(color * 255).astype(np.uint8), np.round(alpha * 255).astype(np.uint8)))
+    return images
+
+
+def edge_known(alpha: np.ndarray, width: float) -> np.ndarray:
+    """(H, W) uint8, 0 in the band of the mask (H, W) uint8 that lies within `width` pixels of its border, else 255.
+
+    There a mask that is cut too wide shows background, which would become a rim of the avatar. The image's own border
+    is no border of the person.
+    """
+    inside = (alpha > 127).astype(np.uint8)
+    if inside.all():
+        return np.full(alpha.shape, 255, np.uint8)
+    distance = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)  # to the nearest pixel outside
+    return np.where((alpha > 0) & (distance <= width), 0, 255).astype(np.uint8)
+
+
+def footage(
+    capture: Capture,
+    views: list[View],
+    full: list[tuple[np.ndarray, np.ndarray]],
+    scale: float,
+    crop: bool,
+    mask_edge: float = 0,
+) -> Footage:
+    """The images of `load_full` resized by `scale` (area-averaged) and, if `crop`, cut to the person.
+
+    mask_edge: pixels of the full image within which a mask's border is not believed (`edge_known`). Every window has
+    the size of the largest person plus a margin of an eighth on each side, so that a body still out of place is seen;
+    sides are multiples of 16 when cropped.
+    """
+    sized = []
+    for view, (color, alpha) in zip(views, full, strict=True):
+        camera = capture.camera(view).scaled(scale)
+        images = [color, alpha] + ([edge_known(alpha, mask_edge)] if mask_edge > 0 else [])
+        size = (camera.width, camera.height)
+        if size != (color.shape[1], color.shape[0]):
+            mode = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+            images = [cv2.resize(image, size, interpolation=mode) for image in images]
+        sized.append((camera, *images))
+    if crop:
+        sized = _crop(sized)
+    cameras, color, alpha, *known = zip(*sized, strict=True)
+    return Footage(
+        views,
+        list(cameras),
+        torch.from_numpy(np.stack(color)).permute(0, 3, 1, 2).contiguous(),
+        torch.from_numpy(np.stack(alpha)),
+        torch.from_numpy(np.stack(known[0])) if known else None,
+    )
+
+
+def _crop(sized: list) -> list:
+    boxes = []
+    for camera, _, alpha, *_ in sized:
+        rows, cols = np.flatnonzero(alpha.any(1)), np.flatnonzero(alpha.any(0))
+        whole = (0, 0, camera.width, camera.height)
+        boxes.append((cols[0], rows[0], cols[-1] + 1, rows[-1] + 1) if len(rows) else whole)
+    boxes = np.array(boxes)
+    extent = (boxes[:, 2:] - boxes[:, :2]).max(0) * 1.25
+    limit = np.max([[camera.width, camera.height] for camera, *_ in sized], 0)
+    width, height = (int(v) for v in np.minimum(np.ceil(extent / 16) * 16, limit))
+    out = []
+    for (camera, *images), box in zip(sized, boxes, strict=True):
+        left = int(np.clip((box[0] + box[2] - width) // 2, 0, max(0, camera.width - width)))
+        top = int(np.clip((box[1] + box[3] - height) // 2, 0, max(0, camera.height - height)))
+        images = [image[top : top + height, left : left + width] for image in images]
+        pad = ((0, height - images[0].shape[0]), (0, width - images[0].shape[1]))  # cameras of different sizes
+        color, *others = images
+        padded = [np.pad(color, (*pad, (0, 0))), *(np.pad(image, pad) for image in others)]
+        out.append((camera.cropped(left, top, width, height), *padded))
+    return out

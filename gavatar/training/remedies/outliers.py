@@ -1,0 +1,108 @@
+"""Estimates that are plainly wrong for a few frames (left and right exchanged, a jump), put right from the frames
+around them, before training bends the avatar to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...body.torch_rotations import matrix_from_axis_angle, rotation_vector_from_matrix
+from ..motion_table import MotionTable
+from .acceptance import view_errors
+
+if TYPE_CHECKING:
+    from ..trainer import Trainer
+
+# seconds to the nearest neighbours that are believed: those next to the frame, or beyond a run of wrong ones
+REACHES = (0.0, 0.2, 0.4)
+WORTH = 0.85  # a pose from the neighbours is taken if its error is at most this share of the error of the frame's own
+
+
+@torch.no_grad()
+def between(table: MotionTable, frames: list[int], reach: float) -> dict[int, tuple[Tensor, Tensor]]:
+    """The pose that the refined motion has halfway, in time, between a frame's neighbours.
+
+    frames: those that may serve as neighbours, ascending. reach: seconds; a neighbour is the nearest frame further away
+    than that. Returns by frame (1, J, 3, 3) local rotations and (1, 3) translation; frames without a neighbour on
+    either side are left out. Rotations turn at a steady rate, the translation moves along the line.
+    """
+    times = np.array(frames) / table.fps
+    rotations, trans = table(frames)
+    found = {}
+    for i, frame in enumerate(frames):
+        earlier, later = np.flatnonzero(times < times[i] - reach), np.flatnonzero(times > times[i] + reach)
+        if not (len(earlier) and len(later)):
+            continue
+        a, b = int(earlier[-1]), int(later[0])
+        share = float((times[i] - times[a]) / (times[b] - times[a]))
+        turn = rotation_vector_from_matrix(rotations[a].mT @ rotations[b])
+        pose = rotations[a] @ matrix_from_axis_angle(share * turn)
+        found[frame] = pose[None], torch.lerp(trans[a], trans[b], share)[None]
+    return found
+
+
+def other_side(name: str, names: Sequence[str]) -> str:
+    """That of the joints `names` on the person's other side, the joint itself where there is none."""
+    for side, other in (("left_", "right_"), ("right_", "left_")):
+        if name.startswith(side) and other + name.removeprefix(side) in names:
+            return other + name.removeprefix(side)
+    return name
+
+
+def exchanged(rotations: Tensor, names: Sequence[str]) -> Tensor:
+    """Local rotations (..., J, 3, 3) with left and right exchanged: the pose in a mirror (x is to the left), the
+    root as it was. names: of the joints."""
+    partner = [names.index(other_side(name, names)) for name in names]
+    mirror = torch.diag(rotations.new_tensor([-1.0, 1, 1]))
+    out = mirror @ rotations[..., partner, :, :] @ mirror
+    out[..., 0, :, :] = rotations[..., 0, :, :]
+    return out
+
+
+Poses = dict[int, tuple[Tensor, Tensor]]  # by frame, (1, J, 3, 3) and (1, 3)
+
+
+def candidates(table: MotionTable, frames: list[int], names: Sequence[str]) -> list[list[Poses]]:
+    """What may be right of each frame where the refined pose is not, in kinds that change more and more: the estimate,
+    where wrong neighbours have drawn it along; the root put between its neighbours; the estimate with left and right
+    exchanged; the whole pose put between its neighbours."""
+    estimate = {frame: table.estimated(frame) for frame in frames}
+    spans = [between(table, frames, reach) for reach in REACHES]
+    moved = [{f: (table([f])[0], trans) for f, (_, trans) in span.items()} for span in spans]
+    swapped = {f: (exchanged(rotations, names), trans) for f, (rotations, trans) in estimate.items()}
+    return [[estimate], moved, [swapped], spans]
+
+
+@torch.no_grad()
+def mend_outliers(trainer: Trainer, image: float) -> list[int]:
+    """Give frames whose images speak plainly for another of the `candidates` that pose; returns those frames.
+
+    image: scale of the images that judge. Of one kind the pose that renders best counts, and it must be better by far
+    than the frame's own or than one that changes less. It is a correction of the estimate like any other, free to be
+    refined.
+    """
+    table, frames = trainer.motion, trainer.frames
+    shown = np.array([view.frame for view in trainer.views])
+
+    def errors(poses: Poses) -> np.ndarray:
+        """(F,) by frame, infinite where `poses` has none."""
+        rows = [row for row, frame in enumerate(shown) if frame in poses]
+        by_view = view_errors(trainer, rows, 1, image=image, pose=poses.__getitem__)
+        return np.array([by_view[shown[rows] == f].mean() if f in poses else np.inf for f in frames])
+
+    best = errors({frame: table([frame]) for frame in frames})
+    mended: Poses = {}
+    for kind in candidates(table, frames, list(trainer.built.body.data.joint_names)):
+        scores = np.array([errors(poses) for poses in kind])
+        chosen = scores.argmin(0)
+        for i in np.flatnonzero(scores.min(0) <= WORTH * best):
+            mended[frames[i]], best[i] = kind[chosen[i]][frames[i]], scores[chosen[i], i]
+    for frame, (rotations, trans) in mended.items():
+        turn = table.initial_rotations[frame, : table.joints].mT @ rotations[0, : table.joints]
+        table.rotation_correction[frame] = rotation_vector_from_matrix(turn)
+        table.trans_correction[frame] = trans[0] - table.initial_trans[frame]
+    return sorted(mended)

@@ -1,0 +1,87 @@
+"""A component from another distribution: installed with pip, listed with its origin, selected by an override."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from places import ROOT, SUPPORT
+
+EXAMPLE = SUPPORT / "plugin_example"
+DEMO = ROOT / "gavatar" / "data" / "studio_demo"
+LEVELS = "[{until:1.0,uv:64,image:0.25}]"
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory) -> Path:
+    """A folder that holds the example distribution, as pip installs it."""
+    pytest.importorskip("setuptools")
+    base = tmp_path_factory.mktemp("plugin")
+    source = shutil.copytree(EXAMPLE, base / "source")  # a build leaves files beside pyproject.toml
+    target = base / "site"
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index"]
+    command += ["--no-deps", "--no-build-isolation", "--target", str(target), str(source)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return target
+
+
+def run(installed: Path, module: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess:
+    environment = {**os.environ, "PYTHONPATH": str(installed), "OMP_NUM_THREADS": "1"}
+    return subprocess.run(
+        [sys.executable, "-m", module, *arguments], capture_output=True, text=True, cwd=cwd, env=environment
+    )
+
+
+def test_the_documented_example_is_the_tested_one():
+    blocks = (ROOT / "docs" / "plugins.md").read_text().split("```")[1::2]
+    for language, path in (("python", "src/gavatar_tinydecoder/decoder.py"), ("toml", "pyproject.toml")):
+        tested = (EXAMPLE / path).read_text().splitlines()
+        (block,) = [b for b in blocks if b.startswith(language)]
+        shown = [line for line in block.splitlines()[1:] if not line.startswith("# ")]
+        assert [line for line in shown if line not in tested] == []
+
+
+def test_the_list_names_the_distribution_and_reports_the_broken_sibling(installed, tmp_path):
+    done = run(installed, "gavatar.cli.list", "decoder", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    listing = json.loads(done.stdout)
+    rows = {row["name"]: row for row in listing["groups"]["decoder"]}
+    assert rows["tinydecoder"]["distribution"] == "gavatar-tinydecoder 0.3.0"
+    assert rows["tinydecoder"]["origin"] == "gavatar_tinydecoder.decoder"
+    assert rows["tinydecoder"]["options"][0] == {"name": "width", "type": "int", "default": 16, "required": False}
+    assert rows["mlp"]["distribution"].startswith("gavatar ")
+    (failure,) = [f for f in listing["failures"] if "tinydecoder" in f["plugin"]]
+    assert failure["plugin"].startswith("broken (gavatar_tinydecoder.broken")
+    assert failure["cause"] == "RuntimeError: this plugin is broken on purpose"
+
+
+def test_an_override_selects_it_and_its_options_compose(installed, tmp_path):
+    overrides = [f"capture={DEMO}", "decoder=tinydecoder", "decoder.width=8"]
+    done = run(installed, "gavatar.cli.train", "--cfg", "job", "--package", "decoder", *overrides, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-3:] == ["name: tinydecoder", "width: 8", "reach: 0.05"]
+
+
+def test_an_unknown_option_of_it_is_one_sentence(installed, tmp_path):
+    overrides = [f"capture={DEMO}", "decoder=tinydecoder", "decoder.widht=8"]
+    done = run(installed, "gavatar.cli.train", *overrides, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert "widht" in done.stderr
+
+
+def test_it_trains(installed, tmp_path):
+    overrides = [f"capture={DEMO}", f"out={tmp_path / 'run'}", "decoder=tinydecoder", "decoder.width=8", "encoder=none"]
+    overrides += ["stage1.steps=2", "stage1.batch=1", f"stage1.levels={LEVELS}", "losses={l1:1.0}", "progress=false"]
+    done = run(installed, "gavatar.cli.train", *overrides, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "name: tinydecoder" in (tmp_path / "run" / "config.yaml").read_text()
+    assert (tmp_path / "run" / "metrics.json").exists()
