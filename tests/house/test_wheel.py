@@ -209,7 +209,7 @@ import importlib.resources, pathlib, sys
 import gavatar, gavatar_runtime
 assert pathlib.Path(gavatar.__file__).is_relative_to({str(trainer.parent)!r}), gavatar.__file__
 assert pathlib.Path(gavatar_runtime.__file__).is_relative_to({str(trainer.parent)!r}), gavatar_runtime.__file__
-from gavatar.assemble import open_capture
+from gavatar.capture.opening import open_capture
 from gavatar.config import register_configs
 from gavatar.registry import BODIES
 register_configs()
