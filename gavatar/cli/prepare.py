@@ -68,7 +68,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--pose-network", metavar="FILE", type=Path, help="another landmark network with the inputs "
                         "and outputs of MediaPipe's (ONNX); the package brings its 'full' one")  # fmt: skip
     parser.add_argument("--body", default="free", metavar="NAME", help="body to fit: free (default), or smpl, smplh, "
-                        "smplx from your own files (docs/bodies.md)")  # fmt: skip
+                        "smplx from your own files (docs/reference/bodies.md)")  # fmt: skip
     parser.add_argument("--body-path", metavar="PATH", help="model file of --body, or the folder to look in before "
                         "those of $GAVATAR_BODY_MODELS")  # fmt: skip
     parser.add_argument("--gender", choices=("neutral", "male", "female"), help="of --body's model (default: neutral)")

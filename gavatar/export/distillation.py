@@ -24,7 +24,7 @@ from .tier_source import TierSource, joint_of_points, upsampling
 LENGTH_WEIGHT = 20.0  # per metre: 5 mm, about a pixel of a person 400 pixels tall, count as a tenth of the colour range
 PROTOTYPES = 128  # of the capture's poses, that the distance of another is taken from
 FADE = (0.4, 1.5)  # distances, of rotation matrices' entries, between which residuals fade into the still look: below,
-# they are closer to the full model than it is; above, as far (docs/choosing_a_tier.md)
+# they are closer to the full model than it is; above, as far (docs/lab/tiers.md)
 RIDGE = 0.1  # penalty on the squared weights of rotations' entries, against about a thousand poses
 JUDGED = 60  # poses over the range of motion, fitted to by nothing, that decide whether the fade helps
 KEPT = 1e-4  # bases with a smaller share of their part's variance are left out

@@ -23,7 +23,7 @@ class SmplConfig:
     "smpl",
     config=SmplConfig,
     summary="SMPL: 24 joints, pose blendshapes",
-    needs="the SMPL model and smpl_uv.obj, downloaded by you (docs/bodies.md)",
+    needs="the SMPL model and smpl_uv.obj, downloaded by you (docs/reference/bodies.md)",
 )
 class Smpl:
     """data: the numbers of the model. license: of its files."""

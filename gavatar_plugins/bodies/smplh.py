@@ -25,7 +25,7 @@ class SmplhConfig:
     "smplh",
     config=SmplhConfig,
     summary="SMPL-H: 52 joints with fingers, pose blendshapes",
-    needs="the SMPL-H model and smpl_uv.obj, downloaded by you (docs/bodies.md)",
+    needs="the SMPL-H model and smpl_uv.obj, downloaded by you (docs/reference/bodies.md)",
 )
 class Smplh:
     """data: the numbers of the model. license: of its files."""

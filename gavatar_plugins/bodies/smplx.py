@@ -26,7 +26,7 @@ class SmplxConfig:
     "smplx",
     config=SmplxConfig,
     summary="SMPL-X: 55 joints with fingers, jaw and eyes, expression, pose blendshapes",
-    needs="the SMPL-X model and its UV atlas, downloaded by you (docs/bodies.md)",
+    needs="the SMPL-X model and its UV atlas, downloaded by you (docs/reference/bodies.md)",
 )
 class Smplx:
     """data: the numbers of the model. license: of its files."""

@@ -59,7 +59,7 @@ class GsplatRasterizer:
     for what is fixed in gsplat's kernels (gsplat 1.5.3, `RasterizeToPixels3DGS{Fwd,Bwd}.cu`, `Utils.cuh`):
 
     - alpha is clamped at 0.999, not at ALPHA_MAX, and a clamped alpha passes no gradient to the geometry and opacity
-      (docs/rasterizers.md has what that makes: 66 dB and more);
+      (docs/reference/rasterizers.md has what that makes: 66 dB and more);
     - a pixel stops at a transmittance of exactly TRANSMITTANCE_STOP too;
     - the determinant of the 2D covariance is a difference of float32 products: a splat some thousand times longer than
       the low-pass filter is wide, and slanting, is rounded, or left out where the difference comes out negative;

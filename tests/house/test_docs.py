@@ -17,7 +17,7 @@ from places import ROOT
 from gavatar.config import MotionConfig, TrainConfig, check, compose_config
 from gavatar.registry import load_plugins
 
-PAGES = [ROOT / "README.md", ROOT / "deploy/README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "deploy/README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES += sorted((ROOT / "gavatar/data").glob("*/README.md"))
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 COMMANDS = {
@@ -30,7 +30,7 @@ COMMANDS = {
     "gavatar-play": "gavatar_runtime.cli.play",
     "gavatar-motion": "gavatar_runtime.cli.motion_files",
 }
-STAND_INS = ("decoder=tinydecoder", "decoder.width=8")  # of plugins.md's example, which is not installed here
+STAND_INS = ("decoder=tinydecoder", "decoder.width=8")  # the guide's example, which is not installed here
 FENCE = re.compile(r"^```(?:\w*)\n(.*?)^```", re.M | re.S)
 INDENTED = re.compile(r"(?:^    .*\n?)+", re.M)
 SPAN = re.compile(r"`([^`\n]+)`")

@@ -41,7 +41,7 @@ def run(installed: Path, module: str, *arguments: str, cwd: Path) -> subprocess.
 
 
 def test_the_documented_example_is_the_tested_one():
-    blocks = (ROOT / "docs" / "plugins.md").read_text().split("```")[1::2]
+    blocks = (ROOT / "docs" / "guide" / "your_own_component.md").read_text().split("```")[1::2]
     for language, path in (("python", "src/gavatar_tinydecoder/decoder.py"), ("toml", "pyproject.toml")):
         tested = (EXAMPLE / path).read_text().splitlines()
         (block,) = [b for b in blocks if b.startswith(language)]

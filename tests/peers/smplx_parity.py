@@ -1,4 +1,5 @@
-"""Our bodies against the `smplx` package on the same files: what `test_bodies.py` asserts and docs/bodies.md prints.
+"""Our bodies against the `smplx` package on the same files: what `test_bodies.py` asserts and
+docs/reference/bodies.md prints.
 
 python tests/peers/smplx_parity.py          prints the table
 """
