@@ -2,9 +2,9 @@
 
 from .detect import Detector
 from .fit import BodyFitter, Fit, FitOptions
+from .footage_source import Source, SourceOptions, open_source
 from .landmarks import Landmarks, read_landmarks
 from .pipeline import Quality, prepare
-from .source import Source, SourceOptions, open_source
 from .write import CaptureFacts, write_capture
 
 __all__ = [

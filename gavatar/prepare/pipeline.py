@@ -14,9 +14,9 @@ from gavatar_runtime.values.motion import Motion
 
 from ..body.skeleton import BodyData
 from .fit import BodyFitter, Fit, FitOptions
+from .footage_source import Source
 from .initial import DEFAULT_FOV, guess_camera
 from .silhouette import prepare_silhouettes
-from .source import Source
 from .write import CaptureFacts, write_capture
 
 

@@ -23,7 +23,7 @@ from ..body.skeleton import BodyData
 from ..capture.capture import CAPTURE_VERSION
 from ..storage import write_image, write_json, write_motion
 from .draw import body_mask, contact_sheet, iou, overlay
-from .source import Source
+from .footage_source import Source
 
 PREVIEW_SIDE = 512  # pixels of the longer side of one camera's picture in the preview
 HELD_OUT_EVERY, HELD_OUT_FIRST = 10, 5  # frames 5, 15, 25, ... are for testing

@@ -14,11 +14,11 @@ from gavatar.cli.prepare import main
 from gavatar.prepare import BodyFitter, FitOptions, Landmarks, SourceOptions, open_source, read_landmarks
 from gavatar.prepare.anatomy import joint_ranges
 from gavatar.prepare.draw import body_mask, iou
+from gavatar.prepare.footage_source import Lens
 from gavatar.prepare.initial import guess_camera, observe, rays, torso_frames, unflip
 from gavatar.prepare.landmarks import BONES, INDEX, MIRROR, NAMES, landmark_rows
 from gavatar.prepare.pipeline import settle
 from gavatar.prepare.silhouette import prepare_silhouettes
-from gavatar.prepare.source import Lens
 from gavatar.prepare.write import make_splits, new_folder
 from gavatar_plugins.bodies.free import load_free_body
 from gavatar_runtime.errors import UserError

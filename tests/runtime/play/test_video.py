@@ -19,7 +19,7 @@ from gavatar.prepare.matting import largest_piece, refine_mask
 from gavatar.prepare.pose_network import CROP_SIDE, PoseNetworks, Region, anchors, merge_overlapping, refine, sigmoid
 from gavatar.prepare.steadiness import STEADY, Steadiness
 from gavatar.prepare.track import Tracked, track
-from gavatar.prepare.video import video_facts, video_frames
+from gavatar.prepare.video_reading import video_facts, video_frames
 from gavatar_plugins.bodies.free import load_free_body
 from gavatar_runtime.errors import UserError
 

@@ -25,7 +25,7 @@ from gavatar_runtime.values.camera import Camera
 
 from .detect import Detector
 from .landmarks import Landmarks, read_landmarks
-from .video import VIDEO_SUFFIXES, video_facts, video_frames
+from .video_reading import VIDEO_SUFFIXES, video_facts, video_frames
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 
