@@ -39,8 +39,9 @@ def playing(path: str, frames: int) -> None:
     from gavatar_runtime.decoding import network
     from gavatar_runtime.motions import read_motion
     from gavatar_runtime.play.framing import frame_motion
-    from gavatar_runtime.play.player import build_rasterizer, play
+    from gavatar_runtime.play.player import play
     from gavatar_runtime.play.staging import clip
+    from gavatar_runtime.render.choice import build_rasterizer
 
     bundle, quiet = read_bundle(path), network._session
     print("threads of ORT, kernel; spin: ms decode alone, draw alone, one after the other, together")

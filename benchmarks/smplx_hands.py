@@ -24,7 +24,7 @@ from gavatar.evaluation.scores import motion_errors, part_errors
 from gavatar.export.bundling import export
 from gavatar.training.run import open_run, train
 from gavatar_runtime.avatar.playing import Avatar
-from gavatar_runtime.play.player import build_rasterizer
+from gavatar_runtime.render.choice import build_rasterizer
 
 SETTINGS = [
     "experiment=demo", "encoder=none", "progress=false", "stage1.steps=500", "stage1.batch=4",

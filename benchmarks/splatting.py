@@ -31,7 +31,7 @@ from gavatar_runtime import native_library as nl  # noqa: E402
 from gavatar_runtime.errors import UserError  # noqa: E402
 from gavatar_runtime.formats.files import write_json  # noqa: E402
 from gavatar_runtime.geometry.skinning import skin  # noqa: E402
-from gavatar_runtime.play.player import player_rasterizers  # noqa: E402
+from gavatar_runtime.render.choice import player_rasterizers  # noqa: E402
 
 COUNTS = (12_500, 50_000, 200_000, 800_000)
 SIZES = ((256, 256), (512, 512), (1024, 1024), (1920, 1080))

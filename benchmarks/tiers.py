@@ -18,7 +18,7 @@ from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.bundle import read_bundle
 from gavatar_runtime.formats.files import atomic
 from gavatar_runtime.play.framing import frame_motion
-from gavatar_runtime.play.player import build_rasterizer
+from gavatar_runtime.render.choice import build_rasterizer
 from gavatar_runtime.tiers import stored_tiers
 from gavatar_runtime.values.motion import Motion
 

@@ -11,7 +11,7 @@ import numpy as np
 from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.motions import read_motion
 from gavatar_runtime.play.framing import frame_motion
-from gavatar_runtime.play.player import build_rasterizer
+from gavatar_runtime.render.choice import build_rasterizer
 
 
 def row(avatar: Avatar, rasterizer, clip: str, columns: int, side: int) -> np.ndarray:

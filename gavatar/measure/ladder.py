@@ -23,8 +23,10 @@ from gavatar_runtime.decoding.detail import WORTH, uv_for_size
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.spacing import evenly_spaced
 from gavatar_runtime.play.framing import frame_motion, size_on_screen
-from gavatar_runtime.play.player import WRITE, build_rasterizer, play
-from gavatar_runtime.render.widening import as_trained
+from gavatar_runtime.play.player import WRITE, play
+from gavatar_runtime.render.choice import build_rasterizer
+from gavatar_runtime.render.rasterizers import Rasterizer
+from gavatar_runtime.render.renderer import Renderer
 from gavatar_runtime.tiers import DEFAULT, members_read, player_tiers, stored_tiers
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.motion import Motion
@@ -81,7 +83,7 @@ class Choice:
     def open(self, bundle: Bundle, threads: int | None = None) -> Avatar:
         return Avatar(bundle, tier=self.tier, uv=self.uv, reuse=self.reuse, seen_only=self.seen_only, threads=threads)
 
-    def rasterizer(self, threads: int | None = None, trained: dict | None = None):
+    def rasterizer(self, threads: int | None = None, trained: dict | None = None) -> Rasterizer:
         """The native rasterizer where it is there to be used, else NumPy's, which knows none of its switches. trained:
         those of the bundle's manifest."""
         try:
@@ -194,10 +196,10 @@ def _timed(
 ) -> tuple[np.ndarray, dict[str, float]]:
     """Milliseconds of each frame, warm-up left out, and medians by stage."""
     avatar, rasterizer = choice.open(bundle, threads), choice.rasterizer(threads, bundle.manifest.rasterizer)
-    avatar.with_normals = getattr(rasterizer, "wants_normals", False)
+    renderer = Renderer(avatar, rasterizer)
     start = perf_counter()
     for i in range(2):
-        rasterizer.render(avatar.gaussians(*motion.at(i % len(motion)), camera=camera), camera, WHITE)
+        renderer.rasterize(renderer.gaussians(*motion.at(i % len(motion)), camera=camera), camera, WHITE)
     each = (perf_counter() - start) / 2
     count = min(len(motion), max(WARM + 3, int(budget_s / max(each, 1e-4))))
     part = motion.taken(slice(count))
@@ -218,8 +220,8 @@ def psnr(image: np.ndarray, reference: np.ndarray) -> float:
 def images(choice: Choice, bundle: Bundle, motion: Motion, frames: Sequence[int], cameras: Sequence[Camera]):
     """Images of a choice at `frames` of a motion, each with its camera. Where decodes are reused, the frames before
     are played too, as they would be."""
-    avatar, rasterizer = choice.open(bundle), choice.rasterizer(trained=bundle.manifest.rasterizer)
-    avatar.with_normals = getattr(rasterizer, "wants_normals", False)
+    avatar = choice.open(bundle)
+    renderer = Renderer(avatar, choice.rasterizer(trained=bundle.manifest.rasterizer))
     result, at = [], 0
     for frame, camera in zip(frames, cameras, strict=True):
         if choice.reuse > 1:
@@ -227,8 +229,8 @@ def images(choice: Choice, bundle: Bundle, motion: Motion, frames: Sequence[int]
             for earlier in range(at, frame):
                 avatar.gaussians(*motion.at(earlier))
         at = frame + 1
-        gaussians = as_trained(avatar.gaussians(*motion.at(frame), camera=camera), camera, avatar.pixel)
-        result.append(np.clip(rasterizer.render(gaussians, camera, WHITE).color, 0, 1).copy())
+        gaussians = renderer.gaussians(*motion.at(frame), camera=camera)
+        result.append(np.clip(renderer.rasterize(gaussians, camera, WHITE).color, 0, 1))
     return result
 
 

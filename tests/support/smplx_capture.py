@@ -13,7 +13,7 @@ from gavatar.avatar.points import sample_surface
 from gavatar.body.blendshapes import expression_of
 from gavatar.body.official_files import FAMILIES, read_body
 from gavatar_runtime.geometry.skinning import skin
-from gavatar_runtime.play.player import build_rasterizer
+from gavatar_runtime.render.choice import build_rasterizer
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.gaussians import Gaussians
 

@@ -10,8 +10,10 @@ import numpy as np
 from ..bundle import Bundle
 from ..errors import UserError
 from ..tiers import DEFAULT
+from ..values.camera import Camera
 from ..values.gaussians import Gaussians
 from ..values.motion import Motion
+from .played import PlayedAvatar
 from .playing import Avatar
 
 REUSE = (1, 2, 4, 8)
@@ -23,14 +25,14 @@ EASE = 0.6  # of the budget: what nearly all frames must stay under for a finer 
 SETTLE = 2  # frames after a change that say nothing: one was decoded before it, one opens the new level
 
 
-class AdaptiveAvatar:
+class AdaptiveAvatar(PlayedAvatar):
     """An avatar that changes its level so that its typical frame takes no more than `budget_s` seconds.
 
     It looks at percentiles of the last frames at the present level, where one slow frame counts once: a running mean
     carries it along. Where decodes are reused, a frame is the mean of a turn.
 
-    Plays like `Avatar` (`gaussians`, `stage_seconds`, and whatever else is asked of it at full detail); the
-    player tells it by `frame_took` how long each frame was. levels: (reuse, uv) from the finest; uv None is all.
+    Plays like `Avatar`; the player tells it by `frame_took` how long each frame was. levels: (reuse, uv) from the
+    finest; uv None is all.
     Raises UserError for a budget that is not positive.
     """
 
@@ -39,27 +41,26 @@ class AdaptiveAvatar:
             raise UserError(f"a budget of {1000 * budget_s:g} ms a frame is not possible: give a positive number")
         self._make = lambda reuse, uv: Avatar(bundle, tier=tier, uv=uv, reuse=reuse, threads=threads)
         self.budget_s = budget_s
-        self.finest = self._make(1, None)
-        side = self.finest.surface.resolution
-        reuses = REUSE if self.finest.networks else (1,)
+        finest = self._make(1, None)
+        self.bundle, self.name, self.tier, self.uv, self.pixel = bundle, finest.name, tier, finest.uv, finest.pixel
+        self.surface, self.expression = finest.surface, finest.expression
+        self.joint_names, self.joints = finest.joint_names, finest.joints
+        self.stage_seconds: dict[str, float] = {}
+        side = finest.surface.resolution
+        reuses = REUSE if finest.networks else (1,)
         uvs = [max(64, round(side * share)) for share in DETAIL]
         self.levels = [(reuse, None) for reuse in reuses]
         self.levels += [(reuses[-1], uv) for uv in dict.fromkeys(uvs) if uv < side]
         self.level = 0
-        self.with_normals = False
         self.frames: Counter[int] = Counter()  # by level
-        self._avatars = {0: self.finest}
+        self._finest, self._avatars = finest, {0: finest}
         self._recent: deque[float] = deque(maxlen=RECOVERY + REUSE[-1])
         self._settling = 0
         self._motion: Motion | None = None
 
-    def __getattr__(self, name: str):
-        if name == "finest":  # not there yet: the constructor failed
-            raise AttributeError(name)
-        return getattr(self.finest, name)
-
-    def __len__(self) -> int:
-        return len(self.finest)
+    def fit(self, motion: Motion) -> tuple[Motion, tuple[str, ...]]:
+        """See `Avatar.fit`."""
+        return self._finest.fit(motion)
 
     def follow(self, motion: Motion) -> None:
         """See `Avatar.follow`."""
@@ -68,7 +69,13 @@ class AdaptiveAvatar:
             avatar.follow(motion)
 
     def gaussians(
-        self, pose: np.ndarray, trans: np.ndarray | None = None, expression: np.ndarray | None = None
+        self,
+        pose: np.ndarray,
+        trans: np.ndarray | None = None,
+        expression: np.ndarray | None = None,
+        *,
+        camera: Camera | None = None,
+        normals: bool = False,
     ) -> Gaussians:
         """The avatar in one pose at the present level (see `Avatar.gaussians`)."""
         level = self.level
@@ -77,8 +84,7 @@ class AdaptiveAvatar:
             if self._motion is not None:
                 self._avatars[level].follow(self._motion)
         avatar = self._avatars[level]
-        avatar.with_normals = self.with_normals
-        result = avatar.gaussians(pose, trans, expression)
+        result = avatar.gaussians(pose, trans, expression, camera=camera, normals=normals)
         self.stage_seconds = avatar.stage_seconds
         self.frames[level] += 1
         return result

@@ -23,12 +23,13 @@ from ..values.surface import Surface
 from .expression import MEMBER as EXPRESSION
 from .expression import Expression
 from .folding import folded, still_joints
+from .played import PlayedAvatar
 from .pose_blendshapes import MEMBER as POSE_BLENDSHAPES
 from .pose_blendshapes import PoseBlendshapes, Turns
 from .visibility import seen_from
 
 
-class Avatar:
+class Avatar(PlayedAvatar):
     """The avatar of a bundle, ready to be posed.
 
     bundle: an opened `Bundle` or the path of one. tier: how its Gaussians are decoded, one that the bundle holds; None
@@ -38,10 +39,7 @@ class Avatar:
     takes the calls for the frames of one motion. seen_only: decode only what the camera given to `gaussians` can see,
     where the tier and the bundle can do that and decodes are not reused (`visibility.seen_from`).
     threads: that decode, None for one a core.
-    joint_names: of the body, J names. joints: (J, 3) rest joints of its shape, metres. surface: where its N Gaussians
-    sit. uv: the side of the atlas that they stand for. expression: `Expression` of bodies that have a face, or None.
-    with_normals: whether `gaussians` shall give normals, for rasterizers that want them.
-    stage_seconds: what the last call of `gaussians` spent on `encode`, `decode` and `skin`.
+    Its fields are those of `PlayedAvatar`.
     Raises UserError for a bundle that cannot be read or that ONNX Runtime cannot load.
     """
 
@@ -59,6 +57,7 @@ class Avatar:
             raise UserError(f"threads={threads}: give a whole number from 1 up")
         self.bundle = bundle if isinstance(bundle, Bundle) else read_bundle(bundle)
         self.name = self.bundle.manifest.name
+        self.pixel = _training_pixel(self.bundle)
         if reuse < 1:
             raise UserError(f"reuse={reuse}: give a whole number from 1 up")
         stored, map_surface = self.bundle.surfaces()
@@ -70,7 +69,6 @@ class Avatar:
         self.expression = self._read_expression(len(stored), chosen)
         self._pose_blendshapes = self._read_pose_blendshapes(len(stored), chosen)
         self._turns = None if self._pose_blendshapes is None else Turns.of(self.surface)
-        self.with_normals = False
         self.stage_seconds: dict[str, float] = {}
         self.tier = tier
         self._tier = None
@@ -84,17 +82,6 @@ class Avatar:
         self._normals: list[np.ndarray] = []
         self._calls = -1
         self._posing, self._moving, self._still = self.surface, None, None
-
-    def __len__(self) -> int:
-        """The number of Gaussians."""
-        return len(self.surface)
-
-    @property
-    def pixel(self) -> float | None:
-        """Metres of the person that a pixel of the training images spanned (`detail.as_trained`); None where the bundle
-        does not say."""
-        value = self.bundle.manifest.training.get("pixel_m")
-        return float(value) if isinstance(value, (int, float)) and 0 < value < np.inf else None
 
     @property
     def dynamic(self) -> bool:
@@ -140,12 +127,14 @@ class Avatar:
         expression: np.ndarray | None = None,
         *,
         camera: Camera | None = None,
+        normals: bool = False,
     ) -> Gaussians:
         """The avatar in one pose.
 
         pose: (J, 3) axis-angle relative to the parent joint, radians; with another number of joints it is fitted as
         `fit` does. trans: (3,) metres, zero if None. expression: (E,) coefficients or fewer, zero if None; an avatar
         whose `expression` is None takes none. camera: that will look at it, which only `seen_only` needs.
+        normals: also give those of the body's surface, for rasterizers that want them.
         Returns N isotropic Gaussians in the world, float32, opaque (fewer with `seen_only`); their arrays are filled
         again by the third call from this one, so copy what is to be kept.
         Raises UserError for a NaN or infinite pose or expression, ValueError for an expression that it cannot have and
@@ -168,19 +157,19 @@ class Avatar:
         A[:, :3, 3] += trans
         self._calls += 1
         look = camera if self.seen_only else None
-        normals = self._skinned_normals(surface, A) if self.with_normals or look is not None else None
+        turned = self._skinned_normals(surface, A) if normals or look is not None else None
         means, index, weight = self._means[self._calls % 3], surface.joint_index, surface.joint_weight
         rows = None
         if look is not None:
-            rows = seen_from(skin(surface.points, index, weight, A, means), normals, look)
-            index, weight, normals, means = index[rows], weight[rows], normals[rows], means[: len(rows)]
+            rows = seen_from(skin(surface.points, index, weight, A, means), turned, look)
+            index, weight, turned, means = index[rows], weight[rows], turned[rows], means[: len(rows)]
         before = perf_counter() - start
         points, colors, scales = self._decode(pose, rows)
         decoded = perf_counter()
         points = self._shaped(points, pose, coefficients, rows)
         means = skin(points, index, weight, A, means)
         self.stage_seconds = {**self._tier.stage_seconds, "skin": before + perf_counter() - decoded}
-        return Gaussians(means=means, scales=scales, colors=colors, normals=normals if self.with_normals else None)
+        return Gaussians(means=means, scales=scales, colors=colors, normals=turned if normals else None)
 
     def _shaped(self, points: np.ndarray, pose, coefficients: np.ndarray | None, rows: np.ndarray | None) -> np.ndarray:
         """Canonical points moved by blendshapes of pose and expression. rows: which they are, or None."""
@@ -312,3 +301,8 @@ class Avatar:
                 "numbers; export the avatar again"
             )
         return Hands(mean.astype(np.float64), components.astype(np.float64))
+
+
+def _training_pixel(bundle: Bundle) -> float | None:
+    value = bundle.manifest.training.get("pixel_m")
+    return float(value) if isinstance(value, (int, float)) and 0 < value < np.inf else None

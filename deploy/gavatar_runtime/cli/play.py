@@ -23,10 +23,11 @@ def main(argv: list[str] | None = None) -> int:
     from .. import native_library
     from ..bundle import read_bundle
     from ..motions import read_motion
-    from ..play.player import build_rasterizer, play
+    from ..play.player import play
     from ..play.selection import choose_tier
     from ..play.staging import clip, open_avatar, staged
     from ..play.writers import open_writer
+    from ..render.choice import build_rasterizer
     from .play_report import peak_memory_mb, show_progress, table, timing_report
 
     motion = read_motion(arguments.motion, **options["motion"])

@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
-import pkgutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
-from .. import native_library
-from ..avatar.playing import Avatar
-from ..components import Registry
-from ..plugins import load_entry_points
-from ..render.widening import as_trained
+from ..avatar.played import PlayedAvatar
+from ..render.rasterizers import Rasterizer
+from ..render.renderer import Renderer
 from ..values.camera import Camera
 from ..values.motion import Motion
-from .writers import Writer, to_bytes
+from .writers import Writer
 
 WARM_UP = 3  # frames left out of the medians where there are more: first use of buffers and networks
 OTHER, WRITE = "other", "write"
-AUTO = ("native", "numpy")  # what `auto` is where the kernel is compiled, and where it is not
 
 
 @dataclasses.dataclass
@@ -68,10 +62,10 @@ def _warm(values: Sequence[float]) -> Sequence[float]:
 
 
 def play(
-    avatar: Avatar,
+    avatar: PlayedAvatar,
     motion: Motion,
     cameras: Camera | Sequence[Camera],
-    rasterizer,
+    rasterizer: Rasterizer,
     writer: Writer,
     *,
     background: Sequence[float] = (1.0, 1.0, 1.0),
@@ -80,10 +74,8 @@ def play(
 ) -> Timings:
     """Write a motion's frames and return what each stage of each took.
 
-    motion: fitted to the avatar. cameras: one for all frames, or one a frame. rasterizer: an object with
-    `render(gaussians, camera, background) -> Rendering` and, after it, `stage_seconds`; if it has `render_uint8`, which
-    returns (H, W, 3) bytes, that is used. With a true `wants_normals`, the avatar gives normals.
-    background: sRGB in [0, 1].
+    motion: fitted to the avatar. cameras: one for all frames, or one a frame. background: sRGB
+    in [0, 1].
     pipelined: decode a frame while the one before is drawn, and write in a thread of its own; the same images.
     progress: called as `progress(done, total)` after each frame. If anything fails, the writer leaves nothing behind.
     """
@@ -91,24 +83,18 @@ def play(
     if len(cameras) != len(motion):
         raise ValueError(f"{len(cameras)} cameras for {len(motion)} frames")
     background = np.asarray(background, np.float32)
-    if getattr(rasterizer, "wants_normals", False):
-        avatar.with_normals = True
-    if hasattr(avatar, "follow"):
-        avatar.follow(motion)
+    renderer = Renderer(avatar, rasterizer)
+    avatar.follow(motion)
     timings = Timings()
     wanted = writer.choose(len(motion))
-    render = getattr(rasterizer, "render_uint8", None) or (lambda *scene: to_bytes(rasterizer.render(*scene).color))
     threads = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
     decoding, writing = threads if pipelined else (_Inline(), _Inline())
 
-    look = getattr(avatar, "seen_only", False)
     kept: list[np.ndarray] = []  # the image that is being written, while the rasterizer draws the next
 
     def decode(frame: int):
-        seen_by = {"camera": cameras[frame]} if look else {}
-        gaussians = avatar.gaussians(*motion.at(frame), **seen_by)
-        stages = dict(avatar.stage_seconds)
-        return as_trained(gaussians, cameras[frame], getattr(avatar, "pixel", None)), stages
+        gaussians = renderer.gaussians(*motion.at(frame), camera=cameras[frame])
+        return gaussians, dict(avatar.stage_seconds)
 
     def write(image: np.ndarray) -> float:
         start = perf_counter()
@@ -122,7 +108,7 @@ def play(
             gaussians, stages = ahead.result()
             if done < len(wanted) and pipelined:
                 ahead = decoding.submit(decode, wanted[done])
-            image = render(gaussians, cameras[frame], background)
+            image = renderer.rasterize_uint8(gaussians, cameras[frame], background)
             stages |= rasterizer.stage_seconds
             drawn = perf_counter()
             before = 0.0 if written is None else written.result()  # at most one frame waits to be written
@@ -134,8 +120,7 @@ def play(
             written = writing.submit(write, image)
             wall = drawn - start
             timings.add({**stages, OTHER: max(0.0, wall - sum(stages.values())), WRITE: before}, wall)
-            if hasattr(avatar, "frame_took"):
-                avatar.frame_took(wall)
+            avatar.frame_took(wall)
             if progress is not None:
                 progress(done, len(wanted))
             start = perf_counter()
@@ -158,34 +143,3 @@ class _Inline:
         future: Future = Future()
         future.set_result(function(*arguments))
         return future
-
-
-def build_rasterizer(
-    name: str = "auto",
-    options: Mapping[str, Any] | None = None,
-    *,
-    threads: int | None = None,
-    trained: Mapping[str, Any] | None = None,
-):
-    """The player's rasterizer `name`; `auto` is the native one where it is there to be used, else the NumPy one.
-
-    threads, trained: passed on to a rasterizer that has such options; `options` come before them. trained: the switches
-    of a bundle's manifest, so that it is drawn as it was trained. Raises UserError for an unknown name or option.
-    """
-    registry = player_rasterizers()
-    if name == "auto":  # chosen by what is there, so that a mistaken option of the native one is still its own error
-        name = AUTO[0] if AUTO[0] in registry and native_library.available()[0] else AUTO[1]
-    if name not in registry:
-        load_entry_points()
-    fields = {field.name for field in dataclasses.fields(registry[name].config)}
-    given = {**(trained or {}), **({} if threads is None else {"threads": threads})}
-    return registry.build(name, {**{k: v for k, v in given.items() if k in fields}, **(options or {})})
-
-
-def player_rasterizers() -> Registry:
-    """The registry of the player's rasterizers, filled by the modules of `gavatar_runtime.render.rasterizers`."""
-    from ..render import rasterizers
-
-    for module in pkgutil.iter_modules(rasterizers.__path__):
-        importlib.import_module(f"{rasterizers.__name__}.{module.name}")
-    return rasterizers.PLAYER_RASTERIZERS

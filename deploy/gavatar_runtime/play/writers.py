@@ -20,6 +20,7 @@ from ..components import Registry
 from ..errors import UserError, did_you_mean
 from ..formats.files import atomic, put_in_place, temporary_beside
 from ..formats.png import write_png
+from ..render.pixels import to_bytes
 from .video import INSTALL, require_encoder
 
 FRAME_NAME = "{:06d}.png"
@@ -57,11 +58,6 @@ def open_writer(path: str | Path, *, width: int, height: int, fps: float, backgr
             return component.factory(Path(path), width=width, height=height, fps=fps, background=background)
     suffixes = [s for c in WRITERS for s in c.factory.suffixes if s != "/"]
     raise UserError(f"cannot write '{path}': {did_you_mean(suffix, suffixes)} (a name without suffix is a folder)")
-
-
-def to_bytes(color: np.ndarray) -> np.ndarray:
-    """(H, W, 3) in [0, 1] -> uint8, rounded; values outside are clipped, NaN is black."""
-    return np.rint(np.clip(np.nan_to_num(color), 0, 1) * 255).astype(np.uint8)
 
 
 @WRITERS.register("video", summary="an .mp4 video, by OpenCV or the program ffmpeg")

@@ -24,7 +24,7 @@ from gavatar_runtime import native_library
 from gavatar_runtime.avatar.playing import Avatar as PlayedAvatar
 from gavatar_runtime.bundle import pack_surfaces, read_bundle
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.play.player import build_rasterizer
+from gavatar_runtime.render.choice import build_rasterizer
 from gavatar_runtime.tiers.blendshape import Coefficients
 
 VARIANTS = {

@@ -91,10 +91,9 @@ def test_normals_turn_with_the_body(static):
     avatar = Avatar(static)
     pose = np.zeros((len(avatar.joint_names), 3), np.float32)
     assert avatar.gaussians(pose).normals is None
-    avatar.with_normals = True
-    before = avatar.gaussians(pose)
+    before = avatar.gaussians(pose, normals=True)
     pose[avatar.surface.root] = (0, np.pi, 0)
-    after = avatar.gaussians(pose, np.float32([1, 2, 3])).normals
+    after = avatar.gaussians(pose, np.float32([1, 2, 3]), normals=True).normals
     np.testing.assert_allclose(after, before.normals * [-1, 1, -1], atol=1e-5)  # float32 sines of pi
     assert np.linalg.norm(after, axis=1).max() < 1 + 1e-3  # float16 in the bundle
 

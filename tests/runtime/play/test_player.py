@@ -28,17 +28,19 @@ from gavatar_runtime.components import Component, NoOptions, Registry
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motions import read_motion
 from gavatar_runtime.play.framing import frame_motion, orbit
-from gavatar_runtime.play.player import WARM_UP, Timings, build_rasterizer, play, player_rasterizers
+from gavatar_runtime.play.player import WARM_UP, Timings, play
 from gavatar_runtime.play.staging import clip
-from gavatar_runtime.play.writers import open_writer, to_bytes
-from gavatar_runtime.render.rasterizers import PLAYER_RASTERIZERS
+from gavatar_runtime.play.writers import open_writer
+from gavatar_runtime.render.choice import build_rasterizer, player_rasterizers
+from gavatar_runtime.render.pixels import to_bytes
+from gavatar_runtime.render.rasterizers import PLAYER_RASTERIZERS, Rasterizer
 from gavatar_runtime.values.gaussians import Rendering
 
 pytest.importorskip("onnx", reason="the hand-made networks need onnx")
 from make_bundle import make_bundle, still
 
 
-class Dots:
+class Dots(Rasterizer):
     """A stand-in for a rasterizer: the pixel of each mean takes its colour. Keeps what it was given."""
 
     def __init__(self, config=None, fail_at=None):
@@ -93,7 +95,7 @@ def test_every_frame_is_rendered_with_its_camera_and_written(static, tmp_path):
 
 
 def test_a_rasterizer_that_draws_bytes_into_one_buffer_is_played_as_it_is(static, tmp_path):
-    class Bytes:
+    class Bytes(Rasterizer):
         def __init__(self):
             self.buffer, self.stage_seconds = np.zeros((4, 4, 3), np.uint8), {}
 

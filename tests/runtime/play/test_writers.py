@@ -16,7 +16,8 @@ from video_frames import frames_of
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.formats.png import png_bytes
 from gavatar_runtime.play import video
-from gavatar_runtime.play.writers import open_writer, to_bytes
+from gavatar_runtime.play.writers import open_writer
+from gavatar_runtime.render.pixels import to_bytes
 
 
 @pytest.fixture

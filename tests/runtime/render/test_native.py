@@ -25,7 +25,7 @@ from gavatar_runtime import native_library as nl
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry import kinematics
 from gavatar_runtime.geometry.skinning import skin, skin_gradients
-from gavatar_runtime.play.player import player_rasterizers
+from gavatar_runtime.render.choice import player_rasterizers
 from gavatar_runtime.render.rasterizers.native import NativeConfig, resize
 from gavatar_runtime.render.rasterizers.native import NativeRasterizer as Player
 from gavatar_runtime.render.rasterizers.rules import LOW_PASS

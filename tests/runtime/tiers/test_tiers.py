@@ -31,8 +31,9 @@ from gavatar_runtime.decoding.network import CHUNK
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.kinematics import joint_transforms
 from gavatar_runtime.play.framing import frame_motion, size_on_screen
-from gavatar_runtime.play.player import build_rasterizer, play
+from gavatar_runtime.play.player import play
 from gavatar_runtime.play.selection import choose_tier
+from gavatar_runtime.render.choice import build_rasterizer
 from gavatar_runtime.tiers import player_tiers, stored_tiers
 from gavatar_runtime.tiers.blendshape import Coefficients, pose_input, turn_input
 from gavatar_runtime.values.motion import Motion

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+from collections.abc import Sequence
 from time import perf_counter
 
 import numpy as np
@@ -12,7 +13,7 @@ from ... import native_library as nl
 from ...native_library import available
 from ...values.camera import Camera
 from ...values.gaussians import Gaussians, Rendering
-from . import PLAYER_RASTERIZERS
+from . import PLAYER_RASTERIZERS, WHITE, Rasterizer
 from .native_options import NativeOptions
 
 __all__ = ["NativeConfig", "NativeRasterizer", "available"]
@@ -26,15 +27,13 @@ class NativeConfig(NativeOptions):
 
 
 @PLAYER_RASTERIZERS.register("native", config=NativeConfig, summary="exact, compiled, many times faster than numpy")
-class NativeRasterizer:
+class NativeRasterizer(Rasterizer):
     """Exact splatting of NumPy arrays on the CPU, following `rasterizers.rules`.
 
     The images of a Rendering are buffers that the next call with the same image size fills again: copy what is to be
     kept. Arrays that are not float32 and contiguous are converted on every call. Raises UserError where the kernel was
     not compiled. stage_seconds: wall seconds of `project`, `sort` and `blend` of the last call.
     """
-
-    differentiable = False
 
     def __init__(self, config: NativeConfig | None = None):
         self.config = config or NativeConfig()
@@ -50,7 +49,7 @@ class NativeRasterizer:
         """Whether `Gaussians.normals` would be of use."""
         return self.config.backface > 0
 
-    def render(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
+    def render(self, gaussians: Gaussians, camera: Camera, background: Sequence[float] = WHITE) -> Rendering:
         """The frame as float32: color (H, W, 3), alpha (H, W), depth (H, W) metres. background: (3,) in [0, 1]."""
         small = self.config.drawn_by(camera)
         size = (small.height, small.width)
@@ -64,7 +63,7 @@ class NativeRasterizer:
             )
         return Rendering(color, alpha, depth, dropped=self._report.dropped)
 
-    def render_uint8(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> np.ndarray:
+    def render_uint8(self, gaussians: Gaussians, camera: Camera, background: Sequence[float] = WHITE) -> np.ndarray:
         """(H, W, 3) uint8, the color of `render` clipped to [0, 1] and rounded; alpha and depth are not computed."""
         small = self.config.drawn_by(camera)
         color8 = self._buffer("color8", (small.height, small.width, 3), np.uint8)
@@ -84,7 +83,9 @@ class NativeRasterizer:
             buffer = self._buffers[name] = np.empty(shape, dtype)
         return buffer
 
-    def _forward(self, gaussians: Gaussians, camera: Camera, background, **images) -> None:
+    def _forward(
+        self, gaussians: Gaussians, camera: Camera, background: Sequence[float], **images: np.ndarray | None
+    ) -> None:
         arrays, struct = gaussians_struct(gaussians)
         camera_struct = nl.camera_struct(camera)
         options = self.config.struct(background)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from time import perf_counter
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from ...geometry.rotations import matrix_from_quaternion
 from ...values.camera import Camera
 from ...values.gaussians import Gaussians, Rendering
-from . import PLAYER_RASTERIZERS
+from . import PLAYER_RASTERIZERS, WHITE, Rasterizer
 from .rules import ALPHA_MAX, ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS, NEAR, TRANSMITTANCE_STOP
 
 TILE = 8  # pixels; small tiles waste few pairs of pixel and Gaussian
@@ -171,16 +172,14 @@ class NumpyConfig:
 @PLAYER_RASTERIZERS.register(
     "numpy", config=NumpyConfig, summary="exact, plain NumPy: the reference, needs nothing compiled"
 )
-class NumpyRasterizer:
-    """`render(gaussians, camera, background) -> Rendering` and the seconds of its stages."""
-
-    differentiable = False
+class NumpyRasterizer(Rasterizer):
+    """Tile by tile, plainly."""
 
     def __init__(self, config: NumpyConfig | None = None):
         self.config = config or NumpyConfig()
         self.stage_seconds: dict[str, float] = {}
 
-    def render(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
+    def render(self, gaussians: Gaussians, camera: Camera, background: Sequence[float] = WHITE) -> Rendering:
         """Float32 rendering; see `rules`."""
         times = [perf_counter()]
         splats = project(gaussians, camera, antialiased=self.config.antialiased)

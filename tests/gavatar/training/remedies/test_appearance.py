@@ -177,7 +177,7 @@ def test_no_gaussians_and_three_scales_are_served_too():
 
 def test_evaluation_and_player_agree_on_a_camera_nearer_than_training(capture, tmp_path):
     from gavatar_runtime.avatar.playing import Avatar
-    from gavatar_runtime.play.player import build_rasterizer as player_rasterizer
+    from gavatar_runtime.render.choice import build_rasterizer as player_rasterizer
 
     out = tmp_path / "run"
     config = [f"capture={capture}", f"out={out}", *SMALL, "encoder=none"]

@@ -1,0 +1,64 @@
+"""What the player asks of an avatar, whichever way it decodes."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from ..bundle import Bundle
+from ..values.camera import Camera
+from ..values.gaussians import Gaussians
+from ..values.motion import Motion
+from ..values.surface import Surface
+from .expression import Expression
+
+
+class PlayedAvatar(Protocol):
+    """An avatar that can be posed frame by frame: `Avatar` at one level of detail, `AdaptiveAvatar` at one after
+    another, where these fields are those of its finest level.
+
+    bundle: where it came from. name: of the person. tier: how its Gaussians are decoded. uv: level of detail, the side
+    of the atlas that its Gaussians stand for. surface: where its N Gaussians sit. joint_names: of the body, J names.
+    joints: (J, 3) rest joints of its shape, metres. expression: what expressions do to a body that has a face, or None.
+    pixel: metres of the person that a pixel of the training images spanned, None where that is not known.
+    stage_seconds: what the last call of `gaussians` spent on `encode`, `decode` and `skin`.
+    """
+
+    bundle: Bundle
+    name: str
+    tier: str | None
+    uv: int
+    surface: Surface
+    joint_names: tuple[str, ...]
+    joints: np.ndarray
+    expression: Expression | None
+    pixel: float | None
+    stage_seconds: dict[str, float]
+
+    def __len__(self) -> int:
+        """N, the number of Gaussians."""
+        return len(self.surface)
+
+    def fit(self, motion: Motion) -> tuple[Motion, tuple[str, ...]]:
+        """The motion brought to this body's joints, and the names of what moves in it that the body lacks."""
+        raise NotImplementedError
+
+    def follow(self, motion: Motion) -> None:
+        """Prepare for the poses of a fitted motion."""
+        raise NotImplementedError
+
+    def gaussians(
+        self,
+        pose: np.ndarray,
+        trans: np.ndarray | None = None,
+        expression: np.ndarray | None = None,
+        *,
+        camera: Camera | None = None,
+        normals: bool = False,
+    ) -> Gaussians:
+        """The avatar in one pose, in arrays that the third call from this one fills again."""
+        raise NotImplementedError
+
+    def frame_took(self, seconds: float) -> None:
+        """Told after each frame how long it was in coming; of no concern where the level of detail is fixed."""

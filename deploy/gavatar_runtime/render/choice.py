@@ -1,0 +1,46 @@
+"""Which rasterizer draws, by name, and with which of its options."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import pkgutil
+from collections.abc import Mapping
+from typing import Any
+
+from .. import native_library
+from ..components import Registry
+from ..plugins import load_entry_points
+from . import rasterizers
+from .rasterizers import Rasterizer
+
+AUTO = ("native", "numpy")  # what `auto` is where the kernel is compiled, and where it is not
+
+
+def build_rasterizer(
+    name: str = "auto",
+    options: Mapping[str, Any] | None = None,
+    *,
+    threads: int | None = None,
+    trained: Mapping[str, Any] | None = None,
+) -> Rasterizer:
+    """The player's rasterizer `name`; `auto` is the native one where it is there to be used, else the NumPy one.
+
+    threads, trained: passed on to a rasterizer that has such options; `options` come before them. trained: the switches
+    of a bundle's manifest, so that it is drawn as it was trained. Raises UserError for an unknown name or option.
+    """
+    registry = player_rasterizers()
+    if name == "auto":  # chosen by what is there, so that a mistaken option of the native one is still its own error
+        name = AUTO[0] if AUTO[0] in registry and native_library.available()[0] else AUTO[1]
+    if name not in registry:
+        load_entry_points()
+    fields = {field.name for field in dataclasses.fields(registry[name].config)}
+    given = {**(trained or {}), **({} if threads is None else {"threads": threads})}
+    return registry.build(name, {**{k: v for k, v in given.items() if k in fields}, **(options or {})})
+
+
+def player_rasterizers() -> Registry[Rasterizer]:
+    """The registry of the player's rasterizers, filled by the modules of `gavatar_runtime.render.rasterizers`."""
+    for module in pkgutil.iter_modules(rasterizers.__path__):
+        importlib.import_module(f"{rasterizers.__name__}.{module.name}")
+    return rasterizers.PLAYER_RASTERIZERS
