@@ -13,7 +13,7 @@ struct BlockState {
 };
 
 GV_INLINE uint8_t to_byte(float x) {
-  x = low(high(x, 0.f), 1.f);
+  x = clamp(x, 0.f, 1.f);
   return (uint8_t)(int32_t)(x * 255.f + 0.5f);
 }
 
