@@ -1,5 +1,5 @@
 // The C interface: chooses the instruction set, owns threads and buffers, and runs the kernels' stages.
-#include "engine.h"
+#include "kernels.h"
 
 #include <algorithm>
 #include <atomic>

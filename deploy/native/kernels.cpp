@@ -1,18 +1,15 @@
 // The arithmetic, compiled once for every instruction set with GV_NAMESPACE set to its name. Only the table at the end
 // leaves this file, and nothing of the standard library is used: what the linker might share with the baseline must
 // not contain this file's instructions.
-#include "engine.h"
-#include "simd.h"
-
-namespace GV_NAMESPACE {
-using namespace gv;
-#include "project.inc"
-#include "blend.inc"
-#include "sparse.inc"
-#include "skin.inc"
-#include "residuals.inc"
-#include "ssim.inc"
-}  // namespace GV_NAMESPACE
+#include "blend-inl.h"
+#include "blend_backward-inl.h"
+#include "kernels.h"
+#include "project-inl.h"
+#include "project_backward-inl.h"
+#include "residuals-inl.h"
+#include "skin-inl.h"
+#include "sparse-inl.h"
+#include "ssim-inl.h"
 
 namespace gv {
 #define GV_JOIN2(a, b) a##b

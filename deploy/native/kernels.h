@@ -6,6 +6,7 @@
 #include <stdint.h>
 
 #include "gavatar_native.h"
+#include "splatting_rule.h"
 
 namespace gv {
 
@@ -15,13 +16,9 @@ constexpr int BLOCKS = 64;  // in a tile
 constexpr int CHUNK = 256;  // Gaussians blended into a tile at a time
 constexpr int BATCH = 64;   // Gaussians projected at a time
 
-constexpr float LOW_PASS = 0.3f;
-constexpr float ALPHA_MAX = 0.99f;
-constexpr float ALPHA_MIN = 1.f / 255.f;
-constexpr float NEAR = 0.01f;
-constexpr float FRUSTUM_MARGIN = 0.3f;
 constexpr float LOG2E = 1.4426950408889634f;
 constexpr float LOG2_255 = 7.994353436858858f;
+static_assert(ALPHA_MIN == 1.f / 255.f, "Record, LOG2_255 and power() of simd-inl.h count in 1/255");
 
 // A Gaussian on the image. Its alpha at offset (dx, dy) from (u, v) is 2^e / 255, where
 // e = lift - (x dx)^2 - (y dy + yx dx)^2: below zero where alpha is below 1/255. u and v count from the centre of pixel

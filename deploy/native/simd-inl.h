@@ -22,7 +22,7 @@
 #define GV_INLINE static inline __attribute__((always_inline))
 #define GV_NOINLINE __attribute__((noinline))  // where copies in every template would only cost compile time
 
-namespace GV_NAMESPACE {
+namespace gv::GV_NAMESPACE {
 
 constexpr int LANES = GV_LANES;
 constexpr int PARTS = 16 / LANES;  // native vectors in sixteen pixels
@@ -218,4 +218,4 @@ GV_INLINE void transpose(V* m) {
 #endif
 }
 
-}  // namespace GV_NAMESPACE
+}  // namespace gv::GV_NAMESPACE

@@ -1,4 +1,9 @@
-// Linear blend skinning with sparse weights. Part of kernels.cpp.
+// Linear blend skinning with sparse weights.
+#pragma once
+#include "index-inl.h"
+#include "simd-inl.h"
+
+namespace gv::GV_NAMESPACE {
 
 // One point's blended 3x4 transform, as floats in a fixed-size loop that becomes vector code.
 GV_INLINE void blended(int slots, int stride, const int32_t* index, const float* weight, const float* A, float M[12]) {
@@ -70,3 +75,5 @@ static bool skin_backward(int64_t begin, int64_t end, int32_t slots, int32_t joi
   }
   return true;
 }
+
+}  // namespace gv::GV_NAMESPACE

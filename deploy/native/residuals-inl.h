@@ -1,4 +1,9 @@
-// Residuals of the pose: points, colours and scales as base + residual, eight floats a Gaussian. Part of kernels.cpp.
+// Residuals of the pose: points, colours and scales as base + residual, eight floats a Gaussian.
+#pragma once
+#include "index-inl.h"
+#include "simd-inl.h"
+
+namespace gv::GV_NAMESPACE {
 
 typedef float R8 __attribute__((vector_size(32)));
 typedef int32_t I8 __attribute__((vector_size(32)));
@@ -53,3 +58,5 @@ static bool upsample(int64_t begin, int64_t end, int32_t slots, int32_t rows, co
   }
   return true;
 }
+
+}  // namespace gv::GV_NAMESPACE

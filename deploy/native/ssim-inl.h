@@ -1,8 +1,12 @@
-// SSIM of a plane with its gradient. Part of kernels.cpp.
+// SSIM of a plane with its gradient.
 //
 // One plane is streamed from top to bottom. Rows of x, y, x^2 + y^2 and (x - y)^2, centred, are filtered along the row
 // and kept while a window needs them; of each finished row of the quotient three rows of derivatives are kept, until the
 // row of the gradient that gathers them is complete. What is in flight is a few dozen rows, which stay in the cache.
+#pragma once
+#include "simd-inl.h"
+
+namespace gv::GV_NAMESPACE {
 
 constexpr int SSIM_MAPS = 4, SSIM_SLOPES = 3, SSIM_TAPS = 11;
 
@@ -146,3 +150,5 @@ static void ssim_plane(int32_t height, int32_t width, int32_t taps_y, int32_t ta
   (full ? ssim_sized<SSIM_TAPS> : ssim_sized<0>)(height, width, taps_y, taps_x, column, line, x, y, value, gradient,
                                                  scratch);
 }
+
+}  // namespace gv::GV_NAMESPACE

@@ -1,11 +1,9 @@
-// A sparse matrix times a dense one, as feature maps are sampled in training. Part of kernels.cpp.
+// A sparse matrix times a dense one, as feature maps are sampled in training.
+#pragma once
+#include "index-inl.h"
+#include "simd-inl.h"
 
-// Whether all indices are in [0, size); looked at a few points ahead of their use, while they are in the cache anyway.
-GV_INLINE bool in_range(const int32_t* index, int64_t count, int32_t size) {
-  uint32_t outside = 0;
-  for (int64_t i = 0; i < count; i++) outside |= (uint32_t)index[i] >= (uint32_t)size;
-  return !outside;
-}
+namespace gv::GV_NAMESPACE {
 
 // out[n] = sum of weight[k] table[index[k]] for k from offset[n] to offset[n + 1]; rows of `channels` floats.
 static bool sparse_product(int64_t begin, int64_t end, int32_t channels, int32_t rows, const int32_t* offset,
@@ -37,3 +35,5 @@ static bool sparse_product(int64_t begin, int64_t end, int32_t channels, int32_t
   }
   return true;
 }
+
+}  // namespace gv::GV_NAMESPACE
