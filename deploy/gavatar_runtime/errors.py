@@ -1,4 +1,4 @@
-"""The one exception for a user's mistake, and what a command does with it."""
+"""The exceptions for a user's mistake, and what a command does with them."""
 
 from __future__ import annotations
 
@@ -21,6 +21,20 @@ class UserError(Exception):
     def __init__(self, *sentences: str):
         super().__init__(*sentences[:1])
         self.sentences = sentences
+
+
+class MissingFile(UserError, FileNotFoundError):
+    """A file or folder that a user names and that is not there."""
+
+
+class WrongValue(UserError, ValueError):
+    """A value that a user gives and that cannot be."""
+
+
+def cannot_read(what: object, error: OSError) -> UserError:
+    """What to raise for a file that the system did not let be read: `what` names it, as its path or a word before."""
+    kind = MissingFile if isinstance(error, FileNotFoundError) else UserError
+    return kind(f"{what} cannot be read: {error.strerror or error}")
 
 
 class Faults:

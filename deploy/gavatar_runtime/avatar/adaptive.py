@@ -8,7 +8,7 @@ from collections import Counter, deque
 import numpy as np
 
 from ..bundle import Bundle
-from ..errors import UserError
+from ..errors import WrongValue
 from ..tiers import DEFAULT
 from ..values.camera import Camera
 from ..values.gaussians import Gaussians
@@ -38,7 +38,7 @@ class AdaptiveAvatar(PlayedAvatar):
 
     def __init__(self, bundle: Bundle, budget_s: float, *, tier: str = DEFAULT, threads: int | None = None):
         if not budget_s > 0:
-            raise UserError(f"a budget of {1000 * budget_s:g} ms a frame is not possible: give a positive number")
+            raise WrongValue(f"a budget of {1000 * budget_s:g} ms a frame is not possible: give a positive number")
         self._make = lambda reuse, uv: Avatar(bundle, tier=tier, uv=uv, reuse=reuse, threads=threads)
         self.budget_s = budget_s
         finest = self._make(1, None)
@@ -76,6 +76,7 @@ class AdaptiveAvatar(PlayedAvatar):
         *,
         camera: Camera | None = None,
         normals: bool = False,
+        copy: bool = True,
     ) -> Gaussians:
         """The avatar in one pose at the present level (see `Avatar.gaussians`)."""
         level = self.level
@@ -84,7 +85,7 @@ class AdaptiveAvatar(PlayedAvatar):
             if self._motion is not None:
                 self._avatars[level].follow(self._motion)
         avatar = self._avatars[level]
-        result = avatar.gaussians(pose, trans, expression, camera=camera, normals=normals)
+        result = avatar.gaussians(pose, trans, expression, camera=camera, normals=normals, copy=copy)
         self.stage_seconds = avatar.stage_seconds
         self.frames[level] += 1
         return result

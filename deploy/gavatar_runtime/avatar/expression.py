@@ -8,7 +8,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..errors import UserError
+from ..bundle import Bundle
+from ..errors import UserError, WrongValue
 
 MEMBER = "expression.npz"
 NEGLIGIBLE = 1e-6  # metres a unit coefficient: points that no direction moves by more are left out
@@ -53,6 +54,17 @@ class Expression:
         moved[self.rows] += (by_unit @ coefficients.astype(by_unit.dtype)).reshape(-1, 3)
         return moved
 
+    def filled(self, coefficients: np.ndarray) -> np.ndarray:
+        """(E,) float32 of that many coefficients or fewer, zero where none are given. Raises WrongValue for more of
+        them, and for NaN or infinite ones."""
+        if coefficients.ndim != 1 or len(coefficients) > self.count:
+            raise WrongValue(
+                f"expression has shape {coefficients.shape}, this avatar has {self.count} coefficients or fewer"
+            )
+        if not np.isfinite(coefficients).all():
+            raise WrongValue("the expression is NaN or infinite")
+        return np.pad(coefficients, (0, self.count - len(coefficients)))
+
     def to_arrays(self) -> dict[str, np.ndarray]:
         """For expression.npz; float16 rounds a direction of 4 cm by at most 0.02 mm."""
         return {"rows": self.rows, "directions": self.directions.astype(np.float16), "joints": self.joints}
@@ -71,3 +83,10 @@ class Expression:
         if not (np.isfinite(directions).all() and np.isfinite(moved).all()):
             raise UserError(f"{source} holds NaN or infinite values; export the avatar again")
         return cls(rows.astype(np.int32), directions.astype(np.float32), moved.astype(np.float32))
+
+
+def read_expression(bundle: Bundle, points: int, joints: int) -> Expression | None:
+    """Of all that a bundle holds, or None where its body has no face."""
+    if MEMBER not in bundle.manifest.members:
+        return None
+    return Expression.from_arrays(bundle.arrays(MEMBER), points, joints, f"{bundle.path}: {MEMBER}")

@@ -12,6 +12,32 @@ from ..values.surface import Surface
 SAME = 1e-6  # of a rotation matrix: float32 angles of the same pose agree to that
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Folded:
+    """A surface for the poses of one motion, carried by the joints alone that the motion moves.
+
+    surface: on those M joints. moving: (M,) their numbers. still: (J,) bool, the others. held: (J - M, 3) float32
+    axis-angle in which the motion holds those.
+    """
+
+    surface: Surface
+    moving: np.ndarray
+    still: np.ndarray
+    held: np.ndarray
+
+    @classmethod
+    def of(cls, surface: Surface, poses: np.ndarray) -> Folded | None:
+        """For poses (F, J, 3), F at least 1; None where every joint moves."""
+        still = still_joints(surface, poses)
+        if not still.any():
+            return None
+        return cls(*folded(surface, still), still, np.asarray(poses[0], np.float32)[still])
+
+    def fits(self, pose: np.ndarray) -> bool:
+        """Whether a pose (J, 3) holds the joints that rest as the motion does."""
+        return np.array_equal(pose[self.still], self.held)
+
+
 def still_joints(surface: Surface, poses: np.ndarray) -> np.ndarray:
     """(J,) bool: joints that all `poses` (F, J, 3) hold as in the canonical pose, so that their transform is their
     parent's. One that is bent there is left out if a joint below it moves. Never the root."""

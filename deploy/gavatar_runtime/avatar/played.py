@@ -56,8 +56,9 @@ class PlayedAvatar(Protocol):
         *,
         camera: Camera | None = None,
         normals: bool = False,
+        copy: bool = True,
     ) -> Gaussians:
-        """The avatar in one pose, in arrays that the third call from this one fills again."""
+        """The avatar in one pose; without `copy`, in arrays that the third call from this one fills again."""
         raise NotImplementedError
 
     def frame_took(self, seconds: float) -> None:

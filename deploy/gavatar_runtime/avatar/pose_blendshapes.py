@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..bundle import Bundle
 from ..errors import UserError
 from ..geometry.rotations import matrix_from_axis_angle
 from ..values.surface import Surface
@@ -114,3 +115,10 @@ class PoseBlendshapes:
             directions.astype(np.float32), canonical.astype(np.float64), corner.astype(np.int32),
             weight / weight.sum(1, keepdims=True),
         )  # fmt: skip
+
+
+def read_pose_blendshapes(bundle: Bundle, points: int, joints: int) -> PoseBlendshapes | None:
+    """Of all that a bundle holds, or None where the avatar was trained without them."""
+    if MEMBER not in bundle.manifest.members:
+        return None
+    return PoseBlendshapes.from_arrays(bundle.arrays(MEMBER), points, joints, f"{bundle.path}: {MEMBER}")

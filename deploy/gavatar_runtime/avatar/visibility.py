@@ -7,7 +7,7 @@ import numpy as np
 from ..values.camera import Camera
 
 FACING = (
-    0.5  # cosine: a normal turned away by more is on the far side, however the look leaves the body (52 dB and more)
+    0.5  # cosine: a normal turned away by more is on the far side, however the look leaves the body (52 dB at least)
 )
 REACH = 0.2  # metres that a Gaussian may reach beyond its point of the body: offset and three deviations
 

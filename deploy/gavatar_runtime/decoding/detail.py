@@ -1,19 +1,16 @@
-"""Level of detail: fewer Gaussians of the same surface, each larger, so that it stays closed; and cameras nearer than
-those of training, whose finer pixels would show the gaps between them."""
+"""Level of detail: fewer Gaussians of the same surface, each larger, so that it stays closed."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..errors import UserError
+from ..errors import WrongValue
 from ..values.surface import Surface
 
 MIN_UV = 64
 SPREAD = 0.35  # of the spacing: the deviation of an even patch is 0.29 of its side, and below 0.35 holes show at uv 128
 WORTH = 0.9  # of the atlas's side: above, leaving Gaussians out saves less than a fifth of them
-PIXELS_PER_GAUSSIAN = (
-    0.8  # of the person's height in the image to the atlas's side, below which a coarser one is enough
-)
+PIXELS_PER_GAUSSIAN = 0.8  # of the person's height to the atlas's side, below which a coarser one is enough
 
 
 def thinned(surface: Surface, uv: int) -> tuple[np.ndarray, np.ndarray]:
@@ -25,7 +22,7 @@ def thinned(surface: Surface, uv: int) -> tuple[np.ndarray, np.ndarray]:
     """
     R = surface.resolution
     if not MIN_UV <= uv <= R:
-        raise UserError(f"uv={uv}: this avatar has detail from {MIN_UV} to {R}; export it with a larger --uv for more")
+        raise WrongValue(f"uv={uv}: this avatar has detail from {MIN_UV} to {R}; export it with a larger --uv for more")
     place = (np.stack([surface.texel % R, surface.texel // R]) + 0.5) * (uv / R)
     cell = np.floor(place).astype(np.int64)
     off = np.square(place - cell - 0.5).sum(0)

@@ -71,7 +71,7 @@ class Renderer:
         finer than those of the training images. It may run while another thread draws the Gaussians of the call
         before."""
         normals = self.rasterizer.wants_normals
-        gaussians = self.avatar.gaussians(pose, trans, expression, camera=camera, normals=normals)
+        gaussians = self.avatar.gaussians(pose, trans, expression, camera=camera, normals=normals, copy=False)
         return as_trained(gaussians, camera, self.avatar.pixel)
 
     def rasterize(self, gaussians: Gaussians, camera: Camera, background: Sequence[float] = WHITE) -> Rendering:

@@ -16,7 +16,8 @@ from ..bundle import Bundle
 from ..components import Registry
 from ..decoding.detail import grown
 from ..decoding.residuals import Attributes
-from ..errors import UserError
+from ..errors import UserError, WrongValue
+from ..plugins import load_entry_points
 from ..values.surface import Surface
 
 DEFAULT = "full"
@@ -97,6 +98,21 @@ def player_tiers() -> Registry[Tier]:
     for module in pkgutil.iter_modules(__path__):
         importlib.import_module(f"{__name__}.{module.name}")
     return PLAYER_TIERS
+
+
+def build_tier(name: str, parts: Parts) -> Tier:
+    """The tier `name` of a bundle. UserError for an unknown name, for one that the bundle does not hold, and for what
+    of it cannot be read."""
+    tiers, stored = player_tiers(), stored_tiers(parts.bundle)
+    if name not in tiers:
+        load_entry_points()
+    tiers[name]  # an unknown name is told from one that this bundle lacks
+    if name not in stored:
+        raise WrongValue(
+            f"{parts.bundle.path} holds no tier '{name}' (it has {', '.join(stored)}); export it again with "
+            f"gavatar-export RUN --tiers {name}"
+        )
+    return tiers.build(name, parts=parts)
 
 
 def members_read(bundle: Bundle, tiers: Iterable[str]) -> set[str]:

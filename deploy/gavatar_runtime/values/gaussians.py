@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import numpy as np
+
 
 @dataclasses.dataclass
 class Gaussians:
@@ -25,6 +27,11 @@ class Gaussians:
 
     def __len__(self) -> int:
         return len(self.means)
+
+    def copied(self) -> Gaussians:
+        """The same Gaussians in NumPy arrays of their own."""
+        arrays = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return Gaussians(**{name: None if a is None else np.array(a) for name, a in arrays.items()})
 
 
 @dataclasses.dataclass
