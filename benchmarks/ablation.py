@@ -26,8 +26,10 @@ import cv2
 import numpy as np
 
 from gavatar.config import check, compose_config
+from gavatar.evaluation.joint_errors import motion_errors
 from gavatar.evaluation.report import format_table
-from gavatar.evaluation.scores import Evaluation, Evaluator, evaluate, motion_errors
+from gavatar.evaluation.result import Evaluation
+from gavatar.evaluation.scores import Evaluator, evaluate
 from gavatar.registry import load_plugins
 from gavatar.storage import write_image, write_json
 from gavatar.training.preview import error_map
@@ -115,9 +117,10 @@ def one(args: argparse.Namespace) -> None:
             run.capture = run.capture.resized(args.image)
         for split, views in run.capture.splits.items():
             run.capture.splits[split] = views[:: args.every] if split != "train" else views
-        result = evaluate(run, scored_splits(run.capture), args.fit, not args.no_perceptual, False, trainer.device)
-        rows += _rows(result, preset, variant, seed, sum(trainer.seconds[n] for n in range(1, stage + 1)))
-        _pictures(args, run, directory / "pictures" / variant.strip("+").replace("+", "_"), trainer.device)
+        device = trainer.scene.device
+        result = evaluate(run, scored_splits(run.capture), args.fit, not args.no_perceptual, False, device)
+        rows += _rows(result, preset, variant, seed, sum(trainer.record.seconds[n] for n in range(1, stage + 1)))
+        _pictures(args, run, directory / "pictures" / variant.strip("+").replace("+", "_"), device)
     write_json(directory / ROWS, {"settings": settings(args, preset, kind, seed), "rows": rows})
 
 

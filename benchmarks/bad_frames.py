@@ -21,8 +21,8 @@ import numpy as np
 from gavatar.body.skeleton import SMPL_BODY_JOINTS
 from gavatar.capture.opening import open_capture
 from gavatar.config import compose_config
+from gavatar.evaluation.joint_errors import joints_of
 from gavatar.evaluation.report import format_table
-from gavatar.evaluation.scores import joints_of
 from gavatar.registry import load_plugins
 from gavatar.storage import write_json
 from gavatar.training.remedies.acceptance import refuse_worse_poses
@@ -96,16 +96,17 @@ def main(argv: list[str] | None = None) -> int:
     base = [f"capture={args.out / 'capture'}", "experiment=demo", "encoder=none", "overwrite=true", "progress=false"]
     base += [f"out={args.out / 'run'}", f"seed={args.seed}", "motion.guard=false"]
     trainer = train(compose_config([*base, *args.override]), args.out / "run")
+    scene, capture = trainer.scene, trainer.capture
     frames = sorted(frame for group in groups.values() for frame in group)
-    truth = joints_of(trainer.built, trainer.capture.truth, frames)
+    truth = joints_of(scene.built, capture.truth, frames)
 
     def errors(motion) -> np.ndarray:
-        joints = joints_of(trainer.built, motion, frames) - truth
+        joints = joints_of(scene.built, motion, frames) - truth
         return 1000 * np.linalg.norm(joints[:, :SMPL_BODY_JOINTS], axis=-1).mean(1)
 
-    before, after = errors(trainer.capture.motion), errors(trainer.motion.motion())
-    refused = refuse_worse_poses(trainer)
-    guarded = errors(trainer.motion.motion())
+    before, after = errors(capture.motion), errors(scene.motion.motion())
+    refused = refuse_worse_poses(scene, trainer.plans[0].image)
+    guarded = errors(scene.motion.motion())
     rows = []
     for name, members in groups.items():
         at = np.isin(frames, members)

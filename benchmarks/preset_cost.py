@@ -28,19 +28,19 @@ def main() -> None:
     if not any(o.startswith("capture=") for o in overrides):
         overrides.append(f"capture={demo_capture()}")
     seconds: dict[int, list[float]] = {1: [], 2: []}
-    original = Stage._step
+    original = Stage.step
 
     def timed(self, step):
         start = time.perf_counter()
         result = original(self, step)
-        seconds[self.number].append(time.perf_counter() - start)
+        seconds[self.plan.number].append(time.perf_counter() - start)
         return result
 
-    Stage._step = timed
+    Stage.step = timed
     with tempfile.TemporaryDirectory() as out:
         steps = [f"stage{n}.steps={arguments.steps}" for n in (1, 2)]
         trainer = train(compose_config([*overrides, *steps, f"out={out}/run", "progress=false"]), Path(out) / "run")
-        gaussians = len(trainer.avatar.surface)
+        gaussians = len(trainer.scene.avatar.surface)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     # the first step of a stage loads and allocates; it is not what training costs
     result = {f"stage{n}_s_per_step": round(float(np.median(v[1:])), 2) for n, v in seconds.items() if len(v) > 1}

@@ -71,7 +71,7 @@ def opacity(run: Run, view: View, motion: Motion) -> np.ndarray:
     """(H, W) of the avatar in a view."""
     table = MotionTable(Motion(motion.poses[view.frame][None], motion.trans[view.frame][None], motion.fps),
                         motion.poses.shape[1])  # fmt: skip
-    (gaussians,) = run.avatar.pose(run.avatar.attributes(), *table())
+    (gaussians,) = run.avatar.pose(run.avatar.attributes(), table())
     return build_rasterizer(run.config.rasterizer)(gaussians, run.capture.camera(view), (1.0, 1.0, 1.0)).alpha.numpy()
 
 

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"
 from smplx_capture import camera, hand_motion, write_smplx_capture, write_smplx_model
 
 from gavatar.config import compose_config
-from gavatar.evaluation.scores import motion_errors, part_errors
+from gavatar.evaluation.joint_errors import motion_errors, part_errors
 from gavatar.export.bundling import export
 from gavatar.training.run import open_run, train
 from gavatar_runtime.avatar.playing import Avatar

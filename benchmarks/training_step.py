@@ -65,36 +65,36 @@ def measure(overrides: list[str], uv: int, steps: int, folder: Path) -> list[dic
     config = compose_config([*plain, *levels, f"out={folder}", "progress=false", "preview_every=1000000"])
     trainer = Trainer(check(config), folder)
     folder.mkdir(parents=True, exist_ok=True)
-    clock = Clock(trainer.device)
-    clock.wrap(trainer.avatar, "encode", "encoder")
-    clock.wrap(trainer.avatar, "attributes", "decoder")
-    clock.wrap(trainer.avatar, "pose", "skinning")
-    clock.wrap(trainer, "rasterize", "splatting")
+    scene, clock = trainer.scene, Clock(trainer.scene.device)
+    clock.wrap(scene.avatar, "encode", "encoder")
+    clock.wrap(scene.avatar, "attributes", "decoder")
+    clock.wrap(scene.avatar, "pose", "skinning")
+    clock.wrap(scene, "rasterize", "splatting")
     clock.wrap(trainer, "losses", "losses")
+    clock.wrap(trainer.poses.optimizer, "step", "optimiser")
     batch, backward = Footage.batch, torch.Tensor.backward
     clock.wrap(Footage, "batch", "images")
     clock.wrap(torch.Tensor, "backward", "backward")
     try:
-        return [_stage(trainer, clock, number, uv, steps) for number in trainer._stages()]
+        return [_stage(trainer.stage(plan.number), clock, uv, steps) for plan in trainer.plans]
     finally:
         Footage.batch, torch.Tensor.backward = batch, backward
 
 
-def _stage(trainer: Trainer, clock: Clock, number: int, uv: int, steps: int) -> dict:
-    stage = Stage(trainer, number)
-    clock.wrap(stage.optimizer, "step", "optimiser")
-    clock.wrap(stage.motion_optimizer, "step", "optimiser")
-    trainer.avatar.train()
+def _stage(stage: Stage, clock: Clock, uv: int, steps: int) -> dict:
+    clock.wrap(stage.optimizers["optimizer"], "step", "optimiser")
+    avatar = stage.scene.avatar.train()
     times = []
     for step in range(steps + 1):
         clock.parts.clear()
         start = clock.now()
-        stage._step(step)
+        stage.step(step)
         parts = dict(clock.parts)
         parts["rest"] = clock.now() - start - sum(parts.values())
         times.append({"total": clock.now() - start} | parts)
     median = {k: float(np.median([t.get(k, 0.0) for t in times[1:]])) for k in ["total", *PARTS]}
-    about = {"stage": number, "uv": uv, "gaussians": len(trainer.avatar.surface), "batch": stage.config.batch}
+    plan = stage.plan
+    about = {"stage": plan.number, "uv": uv, "gaussians": len(avatar.surface), "batch": plan.stage.batch}
     return about | {k: round(v, 4) for k, v in median.items()}
 
 

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Any
-
-from gavatar_runtime.errors import UserError
-
-if TYPE_CHECKING:
-    pass
-
-
 import dataclasses
+import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from hydra import compose, initialize_config_module
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
+from gavatar_runtime.errors import UserError
+
 from .avatar.points import check_resolution
 from .avatar.trainable import AvatarConfig
 from .losses import loss_config
 from .registry import BODIES, DECODERS, ENCODERS, RASTERIZERS, fill_config_store, load_plugins
-from .training.precision import check_precision
 
+PRECISIONS = ("auto", "float32", "bfloat16")
 DYNAMICS = ("always", "auto")
 
 
@@ -201,6 +196,12 @@ def _check_stage(name: str, stage: StageConfig) -> None:
         check_resolution(level.uv, f"{name}.levels: uv")
         if not 0 < level.image <= 4:
             raise UserError(f"{name}.levels: image must be within (0, 4], not {level.image}")
+
+
+def check_precision(precision: str) -> None:
+    """UserError unless `precision` is one of the choices."""
+    if precision not in PRECISIONS:
+        raise UserError(f"precision must be {', '.join(PRECISIONS[:-1])} or {PRECISIONS[-1]}, not '{precision}'")
 
 
 def check_dynamics(dynamics: str, least_gain: float) -> None:

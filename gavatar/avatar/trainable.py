@@ -36,6 +36,28 @@ class AvatarConfig:
     pose_blendshapes: bool = False
 
 
+@dataclasses.dataclass(frozen=True)
+class Pose:
+    """B poses that an avatar takes: all that changes from frame to frame. A further quantity of that kind is a field
+    here, used by `Avatar.pose` and filled by `training.motion_table.MotionTable`; nothing between them names it.
+
+    rotations: (B, J, 3, 3) local joint rotations. trans: (B, 3) metres. expression: (B, E) coefficients, None for the
+    face as the body has it.
+    """
+
+    rotations: Tensor
+    trans: Tensor
+    expression: Tensor | None = None
+
+    def __len__(self) -> int:
+        return len(self.trans)
+
+    def __getitem__(self, rows: slice | list[int]) -> Pose:
+        """The poses of these rows."""
+        values = (getattr(self, field.name) for field in dataclasses.fields(self))
+        return Pose(*(None if value is None else value[rows] for value in values))
+
+
 class Avatar(nn.Module):
     """One person's avatar. Its parameters: `features`, `smooth`, `encoder`, `decoder`; all else is derived.
 
@@ -101,23 +123,16 @@ class Avatar(nn.Module):
         """The encoder's inputs (`encoder_inputs`) -> pose features, or None for a static avatar."""
         return None if self.encoder is None else self.encoder(*inputs)
 
-    def pose(
-        self,
-        attributes: Attributes,
-        rotations: Tensor,
-        trans: Tensor,
-        expression: Tensor | None = None,
-        betas_change: Tensor | None = None,
-    ) -> list[Gaussians]:
-        """Pose decoded points. rotations: (B, J, 3, 3) local joint rotations. trans: (B, 3) metres. expression: (B, E)
-        coefficients or None. betas_change: (n,) added to the first n betas that the surface was sampled at, or None.
-        Attributes with a leading 1 serve every pose. Returns B sets of Gaussians in the world, opacity 1, isotropic
-        unless the attributes have rotations. Raises UserError for an expression that the body has not."""
+    def pose(self, attributes: Attributes, pose: Pose, betas_change: Tensor | None = None) -> list[Gaussians]:
+        """B sets of Gaussians in the world, opacity 1, isotropic unless the attributes have rotations. Attributes with
+        a leading 1 serve every pose. betas_change: (n,) added to the first n betas that the surface was sampled at, or
+        None. Raises UserError for an expression that the body has not."""
+        rotations, trans = pose.rotations, pose.trans
         points, shift = self.points + attributes.offsets, None
         if self.config.pose_blendshapes:
             points = points + self._pose_offsets(rotations)
-        if expression is not None:
-            moved, shift = self._expressed(expression)
+        if pose.expression is not None:
+            moved, shift = self._expressed(pose.expression)
             points = points + moved
         if betas_change is not None:
             moved, joints = self._shaped(betas_change)

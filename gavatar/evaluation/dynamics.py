@@ -2,46 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from ..training.posing import pose_features
 from ..training.remedies.acceptance import dynamics_verdict
-from ..training.run import open_run
+from ..training.run import Run, open_run
 from ..training.stage import STAGE_FILES
-from .scores import Evaluation, Evaluator, pose_features
+from .result import DynamicsWorth, Evaluation
+from .scores import Evaluator
 
 TIMED_FRAMES = 9
-
-
-@dataclasses.dataclass
-class DynamicsWorth:
-    """splits: held out, of which the views are. poses: that both stages were rendered in. gain_db: mean gain in PSNR
-    of stage 2 over stage 1, view by view; standard_error_db: of that mean, None for one view. least_gain_db: asked for
-    by `dynamics_gain`. cost_ms: median time of a frame's networks, which a static avatar does not run, in PyTorch on
-    the machine of the evaluation. worth: the gain is at least what was asked and twice its standard error."""
-
-    splits: list[str]
-    poses: str
-    views: int
-    gain_db: float
-    standard_error_db: float | None
-    least_gain_db: float
-    cost_ms: float
-    worth: bool
-
-    def sentence(self) -> str:
-        """For people."""
-        error = "" if self.standard_error_db is None else f" (standard error {self.standard_error_db:.2f})"
-        says = "worth" if self.worth else "not worth"
-        text = (
-            f"dynamics gain {self.gain_db:+.2f} dB{error} on {self.views} held-out views of {', '.join(self.splits)}, "
-            f"{self.poses} poses: {says} their cost of {self.cost_ms:.0f} ms a frame (networks in PyTorch, here)"
-        )
-        return text if self.worth else f"{text}; gavatar-export --stage 1 leaves them out"
 
 
 def weigh_dynamics(result: Evaluation, device: str | torch.device = "cpu") -> DynamicsWorth | None:
@@ -75,17 +49,17 @@ def weigh_dynamics(result: Evaluation, device: str | torch.device = "cpu") -> Dy
     return DynamicsWorth(
         splits=[row.split for row in rows],
         poses=rows[0].poses,
-        views=verdict["views"],
-        gain_db=verdict["gain_db"],
-        standard_error_db=verdict["standard_error_db"],
+        views=verdict.views,
+        gain_db=verdict.gain_db,
+        standard_error_db=verdict.standard_error_db,
         least_gain_db=run.config.dynamics_gain,
         cost_ms=round(1e3 * _network_seconds(run, [motion.poses[frame] for frame in frames[:TIMED_FRAMES]]), 2),
-        worth=verdict["kept"],
+        worth=verdict.kept,
     )
 
 
 @torch.no_grad()
-def _network_seconds(run, poses: list[np.ndarray]) -> float:
+def _network_seconds(run: Run, poses: list[np.ndarray]) -> float:
     """Median seconds of encoding and decoding one pose; each is timed twice, since the first run is slow."""
     seconds, device = [], next(run.avatar.parameters()).device
     for pose in [poses[0], *poses, *poses]:

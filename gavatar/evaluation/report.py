@@ -8,7 +8,7 @@ import numpy as np
 
 from ..storage import atomic
 from ..training.preview import error_map
-from .scores import Evaluation
+from .result import Evaluation
 
 
 def format_table(header: list[str], rows: list[list[str]]) -> str:

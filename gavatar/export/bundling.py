@@ -30,8 +30,8 @@ from gavatar_runtime.tiers import DEFAULT, members_read
 
 from ..attributes import encoder_inputs
 from ..body.blendshapes import expression_of, pose_blendshapes_of
-from ..evaluation.scores import posed
 from ..registry import TIERS
+from ..training.posing import posed
 from ..training.run import Run
 from .onnx_graphs import OPSET, decoder_model, encoder_model
 from .seen import difference, seen

@@ -15,9 +15,9 @@ from gavatar_runtime.render.widening import as_trained
 
 from ..assemble import build_rasterizer
 from ..capture.capture import View
-from ..evaluation.scores import posed
 from ..images.image_quality import mean_psnr, psnr
 from ..images.pixel_weights import pixel_weights
+from ..training.posing import posed
 from ..training.run import Run
 
 SEEN = 1 / 255  # pixels: what adds up to less in a view moves no pixel of it by an 8-bit step

@@ -16,7 +16,7 @@ from gavatar_runtime.values.body import SMPL_BODY_JOINTS
 from gavatar_runtime.values.surface import Surface
 
 from ..avatar.uv_sampling import bilinear
-from ..evaluation.scores import pose_features
+from ..training.posing import pose_features
 from ..training.run import Run
 from .onnx_graphs import attributes_at
 

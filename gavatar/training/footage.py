@@ -1,8 +1,9 @@
-"""Training images, decoded once and kept in memory at the level's size."""
+"""Images of a capture's views, decoded once and kept in memory at the size in use."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Iterable
 
 import cv2
 import numpy as np
@@ -13,6 +14,25 @@ from gavatar_runtime.values.camera import Camera
 
 from ..capture.capture import Capture, View
 from .remedies.matte import matted
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """B views beside what is drawn of them, over one background.
+
+    target, render: (B, 3, H, W) the footage and the avatar. mask, alpha: (B, H, W) their coverage. All in [0, 1].
+    """
+
+    target: Tensor
+    render: Tensor
+    mask: Tensor
+    alpha: Tensor
+
+    @staticmethod
+    def joined(parts: list[Comparison]) -> Comparison:
+        """The views of all parts in one."""
+        names = [field.name for field in dataclasses.fields(Comparison)]
+        return Comparison(*(torch.cat([getattr(part, name) for part in parts]) for name in names))
 
 
 @dataclasses.dataclass
@@ -35,26 +55,56 @@ class Footage:
         alpha = self.alpha[rows].to(device).float() / 255
         return color + (1 - alpha[:, None]) * background[:, None, None].to(device), alpha
 
-    def believed(
-        self, rows: list[int], target: Tensor, mask: Tensor, render: Tensor, alpha: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Target and render (B, 3, H, W), mask and alpha (B, H, W), the first of each pair replaced by the second where
-        the footage is not believed, and the gradient of the second stopped there: no loss says anything about such a
-        pixel, whatever its windows or networks look at."""
+    def believed(self, rows: list[int], seen: Comparison) -> Comparison:
+        """The views in `rows` with what the footage shows replaced by what is drawn where the footage is not believed,
+        and the gradient of the drawing stopped there: no loss says anything about such a pixel, whatever its windows or
+        networks look at."""
         if self.known is None:
-            return target, render, mask, alpha
-        known = self.known[rows].to(target.device).float() / 255
-        all_known = known[:, None].expand_as(target)
-        return (
-            torch.lerp(render.detach(), target, all_known),
-            torch.lerp(render.detach(), render, all_known),
-            torch.lerp(alpha.detach(), mask, known),
-            torch.lerp(alpha.detach(), alpha, known),
+            return seen
+        known = self.known[rows].to(seen.target.device).float() / 255
+        all_known = known[:, None].expand_as(seen.target)
+        render, alpha = seen.render.detach(), seen.alpha.detach()
+        return Comparison(
+            target=torch.lerp(render, seen.target, all_known),
+            render=torch.lerp(render, seen.render, all_known),
+            mask=torch.lerp(alpha, seen.mask, known),
+            alpha=torch.lerp(alpha, seen.alpha, known),
         )
 
 
+class FootageSource:
+    """The images of some views of a capture at any scale, decoded at most once, when they are first asked for.
+
+    crop, mask_edge, mask_matte: as in `TrainConfig`. bar: shows how far the decoding is.
+    """
+
+    def __init__(
+        self,
+        capture: Capture,
+        views: list[View],
+        *,
+        crop: bool = True,
+        mask_edge: float = 0,
+        mask_matte: float = 0,
+        bar: Callable[[Iterable], Iterable] = iter,
+    ):
+        self.capture, self.views = capture, views
+        self.crop, self.mask_edge, self.mask_matte, self.bar = crop, mask_edge, mask_matte, bar
+        self._full: list[tuple[np.ndarray, np.ndarray]] | None = None
+        self._latest: tuple[float, Footage] | None = None
+
+    def at(self, scale: float) -> Footage:
+        """The views' footage at an image scale; that of the last scale asked for is kept."""
+        if self._latest is None or self._latest[0] != scale:
+            if self._full is None:
+                self._full = load_full(self.capture, self.views, self.bar, self.mask_matte)
+            images = footage(self.capture, self.views, self._full, scale, self.crop, self.mask_edge)
+            self._latest = scale, images
+        return self._latest[1]
+
+
 def load_full(
-    capture: Capture, views: list[View], progress=iter, mask_matte: float = 0
+    capture: Capture, views: list[View], progress: Callable[[Iterable], Iterable] = iter, mask_matte: float = 0
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Every view as (H, W, 3) uint8 premultiplied colour and (H, W) uint8 alpha, at the capture's own size.
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -10,7 +13,9 @@ from gavatar_runtime.geometry.rotations import axis_angle_from_matrix
 from gavatar_runtime.values.body import SMPL_BODY_JOINTS, check_motion_fits
 from gavatar_runtime.values.motion import Motion
 
+from ..avatar.trainable import Pose
 from ..body.torch_rotations import matrix_from_axis_angle
+from ..losses import MotionState
 
 
 class MotionTable(nn.Module):
@@ -46,32 +51,40 @@ class MotionTable(nn.Module):
         frames: Tensor | slice | list[int] = slice(None),
         rotation_correction: Tensor | None = None,
         trans_correction: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        """Corrected (B, J, 3, 3) local rotations and (B, 3) translations of the given frames (all by default), by the
-        table's own corrections or by those given."""
+    ) -> Pose:
+        """The corrected poses of the given frames (all by default), by the table's own corrections or by those
+        given."""
         turn = self.rotation_correction if rotation_correction is None else rotation_correction
         shift = self.trans_correction if trans_correction is None else trans_correction
         initial = self.initial_rotations[frames]
         corrected = initial[:, : self.joints] @ matrix_from_axis_angle(turn[frames])
         rotations = torch.cat([corrected, initial[:, self.joints :]], 1)
-        return rotations, self.initial_trans[frames] + shift[frames]
+        return Pose(rotations, self.initial_trans[frames] + shift[frames], self._expression_of(frames))
 
-    def estimated(self, frame: int) -> tuple[Tensor, Tensor]:
-        """(1, J, 3, 3) local rotations and (1, 3) translation of one frame as they were estimated."""
-        return self.initial_rotations[[frame]], self.initial_trans[[frame]]
+    def estimated(self, frames: Tensor | slice | list[int] = slice(None)) -> Pose:
+        """The poses of the given frames (all by default) as they were estimated."""
+        return Pose(self.initial_rotations[frames], self.initial_trans[frames], self._expression_of(frames))
 
-    def expression(self, frames: Tensor | slice | list[int] = slice(None)) -> Tensor | None:
-        """(B, E) expression coefficients of the given frames, None of a motion without any."""
+    def _expression_of(self, frames: Tensor | slice | list[int]) -> Tensor | None:
         return None if self._expression is None else self._expression[frames]
 
     @torch.no_grad()
     def motion(self, name: str = "refined", rows: slice | list[int] = slice(None)) -> Motion:
         """The corrected motion as plain arrays, of the given frames (all by default)."""
-        rotations, trans = self(rows)
-        poses = axis_angle_from_matrix(rotations.double().cpu().numpy()).astype(np.float32)
-        expression = self.expression(rows)
-        expression = None if expression is None else expression.cpu().numpy()
-        return Motion(poses, trans.cpu().numpy(), self.fps, self.betas, name, expression=expression)
+        pose = self(rows)
+        poses = axis_angle_from_matrix(pose.rotations.double().cpu().numpy()).astype(np.float32)
+        expression = None if pose.expression is None else pose.expression.cpu().numpy()
+        return Motion(poses, pose.trans.cpu().numpy(), self.fps, self.betas, name, expression=expression)
+
+    def state(self, frames: list[int], pose: Pose) -> MotionState:
+        """What losses look at of the motion: `pose`, that of `frames`, beside its estimate."""
+        return MotionState(
+            rotations=pose.rotations,
+            rotations_initial=self.initial_rotations[frames],
+            trans=pose.trans,
+            trans_initial=self.initial_trans[frames],
+            frame_times=torch.tensor(frames, device=pose.trans.device, dtype=pose.trans.dtype) / self.fps,
+        )
 
 
 def shared_frames(times: Tensor, shown: Tensor, width: float) -> tuple[Tensor, Tensor]:
@@ -108,7 +121,13 @@ class RowAdam(torch.optim.Optimizer):
     smoothness term does not have; Kingma & Ba 2015, algorithm 1, row by row.)
     """
 
-    def __init__(self, parameters, lr: float = 1e-3, betas: tuple[float, float] = (0.9, 0.99), eps: float = 1e-10):
+    def __init__(
+        self,
+        parameters: Iterable[Tensor] | Iterable[dict[str, Any]],
+        lr: float = 1e-3,
+        betas: tuple[float, float] = (0.9, 0.99),
+        eps: float = 1e-10,
+    ):
         super().__init__(parameters, {"lr": lr, "betas": betas, "eps": eps})
 
     def forget(self, rows: list[int]) -> None:

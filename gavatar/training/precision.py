@@ -6,14 +6,6 @@ import torch
 
 from gavatar_runtime.errors import UserError
 
-PRECISIONS = ("auto", "float32", "bfloat16")
-
-
-def check_precision(precision: str) -> None:
-    """UserError unless `precision` is one of the choices."""
-    if precision not in PRECISIONS:
-        raise UserError(f"precision must be {', '.join(PRECISIONS[:-1])} or {PRECISIONS[-1]}, not '{precision}'")
-
 
 def mixed(precision: str, decoder: torch.nn.Module, device: torch.device) -> bool:
     """Whether the decoder is to be trained in bfloat16: asked for, or `auto` where the processor multiplies it natively

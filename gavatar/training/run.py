@@ -11,6 +11,7 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.values.motion import Motion
 
 from ..assemble import AvatarBuild, build_avatar, capture_on_body, resolve_body
+from ..avatar.trainable import Avatar
 from ..capture.capture import Capture, View
 from ..capture.opening import open_capture
 from ..config import TrainConfig, check
@@ -83,7 +84,7 @@ class Run:
     pixel: float | None = None
 
     @property
-    def avatar(self):
+    def avatar(self) -> Avatar:
         return self.built.avatar
 
 

@@ -12,7 +12,7 @@ from official_bodies import dressed_free_body, write_npz
 from gavatar.attributes import Attributes
 from gavatar.avatar.points import sample_surface
 from gavatar.avatar.torch_skinning import dense_weights
-from gavatar.avatar.trainable import Avatar, AvatarConfig
+from gavatar.avatar.trainable import Avatar, AvatarConfig, Pose
 from gavatar.body.blendshapes import at_points, expression_of, pose_blendshapes_of
 from gavatar.body.official_files import FAMILIES, read_body
 from gavatar.body.skeleton import Skeleton
@@ -85,7 +85,8 @@ def ours(data, surface, poses, expression):
     avatar = avatar_of(data, surface)
     zero = Attributes(torch.zeros(1, len(surface), 3), torch.zeros(1, len(surface), 3), torch.ones(1, len(surface)))
     rotations = matrix_from_axis_angle(torch.as_tensor(poses, dtype=torch.float32))
-    sets = avatar.pose(zero, rotations, torch.zeros(len(poses), 3), torch.as_tensor(expression, dtype=torch.float32))
+    pose = Pose(rotations, torch.zeros(len(poses), 3), torch.as_tensor(expression, dtype=torch.float32))
+    sets = avatar.pose(zero, pose)
     return np.stack([gaussians.means.numpy() for gaussians in sets])
 
 
@@ -185,7 +186,8 @@ def test_gradients_reach_the_pose_through_an_expression(scene):
     zero = Attributes(torch.zeros(1, len(surface), 3), torch.zeros(1, len(surface), 3), torch.ones(1, len(surface)))
     axis_angle = torch.tensor(poses, dtype=torch.float32, requires_grad=True)
     coefficients = torch.tensor(expression, dtype=torch.float32, requires_grad=True)
-    (gaussians,) = avatar.pose(zero, matrix_from_axis_angle(axis_angle), torch.zeros(1, 3), coefficients)
+    pose = Pose(matrix_from_axis_angle(axis_angle), torch.zeros(1, 3), coefficients)
+    (gaussians,) = avatar.pose(zero, pose)
     gaussians.means.square().mean().backward()
     assert axis_angle.grad.abs().max() > 0
     assert (coefficients.grad.abs() > 0).all()

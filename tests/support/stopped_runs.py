@@ -14,14 +14,14 @@ class Stopped(Exception):
 @contextlib.contextmanager
 def stopped_after(checkpoint: tuple[str, int] | None = None):
     """The training in this block ends once `checkpoint`, a stage's name and step, is written (None: the first)."""
-    save = Stage._save
+    save = Stage.save
 
     def save_and_stop(stage, step):
         save(stage, step)
-        if checkpoint in (None, (f"stage{stage.number}", step)):
+        if checkpoint in (None, (f"stage{stage.plan.number}", step)):
             raise Stopped
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Stage, "_save", save_and_stop)
+        patch.setattr(Stage, "save", save_and_stop)
         with pytest.raises(Stopped):
             yield

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 import torch
 from torch import Tensor
 
+from ...avatar.trainable import Avatar
 from ...avatar.uv_sampling import bilinear, sample_uv
+from ..scene import Scene
+from ..verdicts import FillingVerdict
 from .evidence import blending_weights
-
-if TYPE_CHECKING:
-    from ..trainer import Trainer
 
 LEAST = 1.0  # pixels, over all views, below which a point counts as unseen
 NEIGHBOURS = 8
@@ -46,37 +44,36 @@ def harmonic(points: np.ndarray, values: np.ndarray, known: np.ndarray) -> np.nd
     return filled.astype(values.dtype)
 
 
-def fill_unseen(trainer: Trainer) -> dict[str, Any]:
+def fill_unseen(scene: Scene, image: float) -> FillingVerdict:
     """Give unseen points the harmonic continuation of colour, offset and relative scale of what was seen, by changing
-    those texels of the features that no seen point reads; returns what was done, for metrics.json.
+    those texels of the features that no seen point reads. image: scale of the images in which they are unseen.
 
     The avatar is otherwise untouched: seen points decode to what they did before, exactly. With smoothed features
     (upstream) every texel is read by its neighbours too, and nothing is filled.
     """
-    avatar, level = trainer.avatar, trainer.config.stage1.levels[-1]
+    avatar = scene.avatar
     training = avatar.training
     avatar.eval()
-    seen = blending_weights(trainer, level.image) >= LEAST
-    report = {"points": int((~seen).sum()), "of": len(seen), "filled": 0}
-    free = _free_texels(avatar, seen)
-    if len(avatar.smooth) or seen.all() or not seen.any() or not free.any():
-        avatar.train(training)
-        return report
-    surface = avatar.surface
-    with torch.no_grad():
-        out = avatar.attributes()
-        spacing = avatar.spacing.view(-1, *[1] * (out.scales.dim() - 2))
-        parts = [out.colors[0], out.offsets[0] / OFFSET_UNIT, (out.scales[0] / spacing).reshape(len(seen), -1)]
-    known = seen.cpu().numpy()
-    target = harmonic(surface.points, torch.cat(parts, 1).cpu().numpy(), known)
-    target = torch.from_numpy(target).to(trainer.device)[~seen]
-    _fit(avatar, ~seen, free, target)
-    report["filled"] = int((~seen).sum())
+    seen = blending_weights(scene, image) >= LEAST
+    unseen, free = int((~seen).sum()), _free_texels(avatar, seen)
+    possible = not len(avatar.smooth) and bool(seen.any()) and bool(free.any())
+    if unseen and possible:
+        _fit(avatar, ~seen, free, _continued(avatar, seen))
     avatar.train(training)
-    return report
+    return FillingVerdict(points=unseen, of=len(seen), filled=unseen if possible else 0)
 
 
-def _free_texels(avatar, seen: Tensor) -> Tensor:
+@torch.no_grad()
+def _continued(avatar: Avatar, seen: Tensor) -> Tensor:
+    """(M, 7 or more) colour, offset and relative scale that the unseen points are to have."""
+    out = avatar.attributes()
+    spacing = avatar.spacing.view(-1, *[1] * (out.scales.dim() - 2))
+    parts = [out.colors[0], out.offsets[0] / OFFSET_UNIT, (out.scales[0] / spacing).reshape(len(seen), -1)]
+    filled = harmonic(avatar.surface.points, torch.cat(parts, 1).cpu().numpy(), seen.cpu().numpy())
+    return torch.from_numpy(filled).to(seen.device)[~seen]
+
+
+def _free_texels(avatar: Avatar, seen: Tensor) -> Tensor:
     """(R, R) whether a texel of the features is read by no seen point."""
     size = avatar.features.shape[-1]
     corner, weight = bilinear(avatar.surface.uv[seen.cpu().numpy()], size)
@@ -85,7 +82,7 @@ def _free_texels(avatar, seen: Tensor) -> Tensor:
     return torch.from_numpy(free.reshape(size, size)).to(avatar.features.device)
 
 
-def _fit(avatar, unseen: Tensor, free: Tensor, target: Tensor) -> None:
+def _fit(avatar: Avatar, unseen: Tensor, free: Tensor, target: Tensor) -> None:
     """Adam on the free texels alone, decoding only the unseen points, towards `target` (M, 7 or more)."""
     uv, spacing = avatar.uv[unseen], avatar.spacing[unseen]
     base = avatar.features.detach()

@@ -3,35 +3,37 @@ around them, before training bends the avatar to them."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from ...avatar.trainable import Pose
 from ...body.torch_rotations import matrix_from_axis_angle, rotation_vector_from_matrix
 from ..motion_table import MotionTable
-from .acceptance import view_errors
-
-if TYPE_CHECKING:
-    from ..trainer import Trainer
+from ..scene import Scene
 
 # seconds to the nearest neighbours that are believed: those next to the frame, or beyond a run of wrong ones
 REACHES = (0.0, 0.2, 0.4)
 WORTH = 0.85  # a pose from the neighbours is taken if its error is at most this share of the error of the frame's own
 
 
+Poses = dict[int, Pose]  # one by frame
+
+
 @torch.no_grad()
-def between(table: MotionTable, frames: list[int], reach: float) -> dict[int, tuple[Tensor, Tensor]]:
+def between(table: MotionTable, frames: list[int], reach: float) -> Poses:
     """The pose that the refined motion has halfway, in time, between a frame's neighbours.
 
     frames: those that may serve as neighbours, ascending. reach: seconds; a neighbour is the nearest frame further away
-    than that. Returns by frame (1, J, 3, 3) local rotations and (1, 3) translation; frames without a neighbour on
-    either side are left out. Rotations turn at a steady rate, the translation moves along the line.
+    than that. Frames without a neighbour on either side are left out. Rotations turn at a steady rate, the translation
+    moves along the line; all else is the frame's own.
     """
     times = np.array(frames) / table.fps
-    rotations, trans = table(frames)
+    refined = table(frames)
+    rotations, trans = refined.rotations, refined.trans
     found = {}
     for i, frame in enumerate(frames):
         earlier, later = np.flatnonzero(times < times[i] - reach), np.flatnonzero(times > times[i] + reach)
@@ -40,8 +42,11 @@ def between(table: MotionTable, frames: list[int], reach: float) -> dict[int, tu
         a, b = int(earlier[-1]), int(later[0])
         share = float((times[i] - times[a]) / (times[b] - times[a]))
         turn = rotation_vector_from_matrix(rotations[a].mT @ rotations[b])
-        pose = rotations[a] @ matrix_from_axis_angle(share * turn)
-        found[frame] = pose[None], torch.lerp(trans[a], trans[b], share)[None]
+        found[frame] = dataclasses.replace(
+            refined[i : i + 1],
+            rotations=(rotations[a] @ matrix_from_axis_angle(share * turn))[None],
+            trans=torch.lerp(trans[a], trans[b], share)[None],
+        )
     return found
 
 
@@ -63,46 +68,44 @@ def exchanged(rotations: Tensor, names: Sequence[str]) -> Tensor:
     return out
 
 
-Poses = dict[int, tuple[Tensor, Tensor]]  # by frame, (1, J, 3, 3) and (1, 3)
-
-
 def candidates(table: MotionTable, frames: list[int], names: Sequence[str]) -> list[list[Poses]]:
     """What may be right of each frame where the refined pose is not, in kinds that change more and more: the estimate,
     where wrong neighbours have drawn it along; the root put between its neighbours; the estimate with left and right
     exchanged; the whole pose put between its neighbours."""
-    estimate = {frame: table.estimated(frame) for frame in frames}
+    estimate = {frame: table.estimated([frame]) for frame in frames}
     spans = [between(table, frames, reach) for reach in REACHES]
-    moved = [{f: (table([f])[0], trans) for f, (_, trans) in span.items()} for span in spans]
-    swapped = {f: (exchanged(rotations, names), trans) for f, (rotations, trans) in estimate.items()}
+    moved = [{f: dataclasses.replace(table([f]), trans=pose.trans) for f, pose in span.items()} for span in spans]
+    swapped = {f: dataclasses.replace(p, rotations=exchanged(p.rotations, names)) for f, p in estimate.items()}
     return [[estimate], moved, [swapped], spans]
 
 
 @torch.no_grad()
-def mend_outliers(trainer: Trainer, image: float) -> list[int]:
+def mend_outliers(scene: Scene, image: float) -> list[int]:
     """Give frames whose images speak plainly for another of the `candidates` that pose; returns those frames.
 
     image: scale of the images that judge. Of one kind the pose that renders best counts, and it must be better by far
     than the frame's own or than one that changes less. It is a correction of the estimate like any other, free to be
     refined.
     """
-    table, frames = trainer.motion, trainer.frames
-    shown = np.array([view.frame for view in trainer.views])
+    table, frames = scene.motion, scene.frames
+    shown = np.array([view.frame for view in scene.views])
 
     def errors(poses: Poses) -> np.ndarray:
         """(F,) by frame, infinite where `poses` has none."""
         rows = [row for row, frame in enumerate(shown) if frame in poses]
-        by_view = view_errors(trainer, rows, 1, image=image, pose=poses.__getitem__)
+        by_view = scene.errors(rows, image, poses=poses.__getitem__)
         return np.array([by_view[shown[rows] == f].mean() if f in poses else np.inf for f in frames])
 
     best = errors({frame: table([frame]) for frame in frames})
     mended: Poses = {}
-    for kind in candidates(table, frames, list(trainer.built.body.data.joint_names)):
+    for kind in candidates(table, frames, list(scene.built.body.data.joint_names)):
         scores = np.array([errors(poses) for poses in kind])
         chosen = scores.argmin(0)
         for i in np.flatnonzero(scores.min(0) <= WORTH * best):
             mended[frames[i]], best[i] = kind[chosen[i]][frames[i]], scores[chosen[i], i]
-    for frame, (rotations, trans) in mended.items():
-        turn = table.initial_rotations[frame, : table.joints].mT @ rotations[0, : table.joints]
+    for frame, pose in mended.items():
+        turn = table.initial_rotations[frame, : table.joints].mT @ pose.rotations[0, : table.joints]
         table.rotation_correction[frame] = rotation_vector_from_matrix(turn)
-        table.trans_correction[frame] = trans[0] - table.initial_trans[frame]
+        table.trans_correction[frame] = pose.trans[0] - table.initial_trans[frame]
+    scene.moved(list(mended))
     return sorted(mended)

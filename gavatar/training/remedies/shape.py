@@ -13,8 +13,8 @@ class Shape(nn.Module):
     """One correction of the shape coefficients for the whole capture.
 
     betas: (n,) as estimated, or None for the mean shape. available: coefficients that the body has. change: (m,) starts
-    at zero, m = n, or ten where none were estimated, as far as the body has them. Raises UserError for a body without
-    shape coefficients.
+    at zero, m = n, or ten where none were estimated, as far as the body has them. settled: the body has been given this
+    shape, and the change is part of it. Raises UserError for a body without shape coefficients.
     """
 
     def __init__(self, betas: np.ndarray | None, available: int):
@@ -24,6 +24,7 @@ class Shape(nn.Module):
         if count == 0:
             raise UserError("motion.betas=true: body or capture has no shape coefficients; leave the option out")
         self.change = nn.Parameter(torch.zeros(count))
+        self.settled = False
 
     @property
     def betas(self) -> np.ndarray:

@@ -18,11 +18,13 @@ from gavatar.body.blendshapes import expression_of
 from gavatar.capture.opening import open_capture
 from gavatar.capture.placement import Placement
 from gavatar.config import compose_config
+from gavatar.evaluation.joint_errors import motion_errors, part_errors
 from gavatar.evaluation.report import table
-from gavatar.evaluation.scores import evaluate, motion_errors, part_errors, posed
+from gavatar.evaluation.scores import evaluate
 from gavatar.export.bundling import export
 from gavatar.registry import BODIES
 from gavatar.storage import load_tensors
+from gavatar.training.posing import posed
 from gavatar.training.run import open_run, train
 from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.bundle import read_bundle

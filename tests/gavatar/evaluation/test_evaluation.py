@@ -12,9 +12,10 @@ import pytest
 from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.config import compose_config
-from gavatar.evaluation.dynamics import DynamicsWorth, weigh_dynamics
+from gavatar.evaluation.dynamics import weigh_dynamics
 from gavatar.evaluation.report import evaluation_figure, table
-from gavatar.evaluation.scores import evaluate
+from gavatar.evaluation.result import DynamicsWorth
+from gavatar.evaluation.scores import Evaluator, evaluate
 from gavatar.training.run import open_run, train
 from gavatar_runtime.errors import UserError
 
@@ -67,8 +68,6 @@ def test_the_table_and_the_files_state_the_protocol(result, tmp_path):
 
 
 def test_fitting_held_out_poses_lowers_the_image_error(run):
-    from gavatar.evaluation.scores import Evaluator
-
     evaluator = Evaluator(run, progress=False)
     views = run.capture.views("test")
     before = evaluator.score("test", "estimated", views, run.capture.motion).psnr

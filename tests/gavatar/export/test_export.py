@@ -13,12 +13,12 @@ from torch import nn
 import gavatar.export.bundling as module
 from gavatar.assemble import build_rasterizer as training_rasterizer
 from gavatar.config import compose_config
-from gavatar.evaluation.scores import posed
 from gavatar.export import onnx_graphs as graphs
 from gavatar.export.bundling import export
 from gavatar.export.onnx_graphs import fold_batchnorm
 from gavatar.export.seen import difference, seen
 from gavatar.images.pixel_weights import pixel_weights
+from gavatar.training.posing import posed
 from gavatar.training.run import open_run, train
 from gavatar_runtime import native_library
 from gavatar_runtime.avatar.playing import Avatar as PlayedAvatar

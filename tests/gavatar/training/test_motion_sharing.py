@@ -11,7 +11,6 @@ from gavatar.config import MotionConfig, check, compose_config
 from gavatar.training.motion_table import MotionTable, RowAdam, scale_gradient, shared_frames
 from gavatar.training.run import train
 from gavatar.training.schedule import sharing_width
-from gavatar.training.stage import Stage
 from gavatar.training.trainer import Trainer
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.values.motion import Motion
@@ -123,10 +122,10 @@ def test_corrections_near_pi_are_shared_like_any_other():
     optimizer = RowAdam(table.parameters(), lr=0.01)
     for _ in range(10):
         table.zero_grad()
-        table([0])[0][0, 0, 2, 1].backward()  # turn the first frame's root
+        table([0]).rotations[0, 0, 2, 1].backward()  # turn the first frame's root
         table.trans_correction.grad = torch.zeros(2, 3)
         optimizer.step(*shared_frames(torch.tensor([0.0, 1 / 15]), torch.tensor([0]), 0.4))
-    rotations = table()[0].detach()
+    rotations = table().rotations.detach()
     assert torch.allclose(rotations[0], rotations[1], atol=1e-3)
     assert not torch.allclose(rotations[0, 0], table.initial_rotations[0, 0], atol=0.05)
 
@@ -145,12 +144,12 @@ def test_a_motion_terms_pull_on_a_shown_frame_does_not_hang_on_how_many_frames_t
         capture = write_tiny_capture(tmp_path / f"c{count}", frames=(0, 8, 16, 40, 60, 99)[:count])
         overrides = [f"capture={capture}", "out=x", *SMALL, "losses={l1:1,motion_prior:1}"]
         trainer = Trainer(check(compose_config(overrides)), tmp_path / f"r{count}")
+        correction = trainer.scene.motion.rotation_correction
         with torch.no_grad():
-            trainer.motion.rotation_correction[:count] = 0.1
-        stage = Stage(trainer, 1)
-        state = stage._motion_state(shown=2)
+            correction[:count] = 0.1
+        state = trainer.poses.state(shown=2, mended=[])
         trainer.losses.losses["motion_prior"](type("Inputs", (), {"motion": state})()).backward()
-        pulls.append(stage.motion_leaves[trainer.motion.rotation_correction].grad[0])
+        pulls.append(trainer.poses.leaves[correction].grad[0])
     assert torch.allclose(*pulls, rtol=1e-5)
     assert pulls[0].abs().min() > 0
 
@@ -163,10 +162,10 @@ def test_training_moves_the_frames_between_those_shown(tmp_path):
     for width in (0, 0.8):
         out = tmp_path / f"run{width}"
         trainer = train(compose_config([*base, f"out={out}", f"motion.sharing={width}"]), out)
-        moved.append((trainer.motion.rotation_correction != 0).any(-1).any(-1))
+        moved.append((trainer.scene.motion.rotation_correction != 0).any(-1).any(-1))
     assert moved[0].sum() == 1
     assert moved[1].sum() == 3  # six successive frames: the shown one and, an eighth of their time away, its neighbours
-    assert not moved[1][trainer.frames[-1] + 1 :].any()  # held-out frames never move
+    assert not moved[1][trainer.scene.frames[-1] + 1 :].any()  # held-out frames never move
 
 
 def test_the_motion_of_some_frames_has_their_expressions():

@@ -86,13 +86,13 @@ def test_training_in_bfloat16_learns_the_same_and_is_evaluated_in_float32(tmp_pa
         out = tmp_path / kind
         overrides = [f"capture={capture}", f"out={out}", *SMALL, *same, "stage1.steps=60", "stage1.lr_decoder=0.01"]
         trainer = train(compose_config([*overrides, f"precision={kind}"]), out)
-        losses = [entry["losses"]["l1"] for entry in trainer.history]
+        losses = [entry["losses"]["l1"] for entry in trainer.record.history]
         assert losses[-1] < 0.7 * losses[0]
         last[kind] = losses[-1]
-        trainer.avatar.eval()
+        trainer.scene.avatar.eval()
         layer = []
-        trainer.avatar.decoder.layers[1].register_forward_hook(lambda *a, seen=layer: seen.append(a[2].dtype))
-        trainer.avatar.attributes()
+        trainer.scene.avatar.decoder.layers[1].register_forward_hook(lambda *a, seen=layer: seen.append(a[2].dtype))
+        trainer.scene.avatar.attributes()
         assert layer == [torch.float32]
     # two trainings whose gradients differ by rounding; the loss fell to a third or less of where it began
     assert last["bfloat16"] < 1.15 * last["float32"]

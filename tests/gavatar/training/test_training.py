@@ -61,7 +61,7 @@ def test_training_lowers_the_loss(capture, tmp_path):
     # every view in every step over one background, so that first and last loss are of the same images
     same = ["background=white", "stage1.batch=6", "stage1.levels=[{until:1.0,uv:64,image:0.25}]", "stage2.steps=0"]
     trainer = run(capture, tmp_path / "r", *same, "stage1.steps=60", "stage1.lr_decoder=0.01")
-    losses = [e["losses"]["l1"] for e in trainer.history]
+    losses = [e["losses"]["l1"] for e in trainer.record.history]
     assert losses[-1] < 0.7 * losses[0]
 
 
@@ -107,8 +107,8 @@ def test_a_run_killed_without_warning_resumes_to_the_same_result(capture, traine
 
 def test_stage_two_starts_exactly_at_the_avatar_of_stage_one(capture, tmp_path):
     trainer = run(capture, tmp_path / "r", "stage2.steps=0")
-    avatar = trainer.avatar.eval()
-    features = avatar.encode(*trainer.pose_inputs(trainer.frames[:2]))
+    avatar = trainer.scene.avatar.eval()
+    features = trainer.scene.pose_features(trainer.scene.frames[:2])
     assert features.abs().max() == 0
     still, posed = avatar.attributes(), avatar.attributes(features)
     assert torch.equal(still.offsets[0], posed.offsets[0])
@@ -210,9 +210,9 @@ def test_poses_move_and_their_losses_are_asked_only_within_the_motion_window(cap
     for window, moves, asked in (((1.0, 1.0), False, (False, False)), ((0.5, 1.0), True, (False, True))):
         start, end = window
         trainer = run(capture, tmp_path / f"{start}", *options, f"motion.start={start}", f"motion.end={end}")
-        assert bool(trainer.motion.rotation_correction.any()) == moves
-        assert tuple("motion_prior" in trainer.history[i]["losses"] for i in (0, -1)) == asked
-    assert trainer.history[-1]["step"] == 11
+        assert bool(trainer.scene.motion.rotation_correction.any()) == moves
+        assert tuple("motion_prior" in trainer.record.history[i]["losses"] for i in (0, -1)) == asked
+    assert trainer.record.history[-1]["step"] == 11
 
 
 @pytest.mark.parametrize(
@@ -248,7 +248,7 @@ def test_a_configuration_of_another_size_than_what_was_trained_is_one_sentence(t
 def test_training_on_one_frame_works(tmp_path):
     capture = write_tiny_capture(tmp_path / "one", frames=(20,), test=(), novel=())
     trainer = run(capture, tmp_path / "r")
-    assert np.isfinite([e["losses"]["total"] for e in trainer.history]).all()
+    assert np.isfinite([e["losses"]["total"] for e in trainer.record.history]).all()
 
 
 @pytest.mark.parametrize(
@@ -304,6 +304,6 @@ def test_corrections_do_not_wrap_where_the_estimate_jumps_by_a_full_turn():
     poses = np.zeros((2, 22, 3), np.float32)
     poses[0, 0, 1], poses[1, 0, 1] = np.pi, -np.pi  # one and the same rotation
     table = MotionTable(Motion(poses, np.zeros((2, 3), np.float32), 15.0), 52)
-    rotations, _ = table()
+    rotations = table().rotations
     assert torch.allclose(rotations[0], rotations[1], atol=1e-6)
     assert table.motion().poses.shape == (2, 52, 3)

@@ -61,7 +61,7 @@ def test_quaternions_and_their_products_are_those_of_scipy():
 def test_skinned_rotations_are_near_the_nearest_rotation_of_the_blended_matrix(built):
     made, table = built
     avatar = made.avatar
-    transforms = avatar.skeleton.canonical_to_posed(table([0, 40, 80, 110])[0])
+    transforms = avatar.skeleton.canonical_to_posed(table([0, 40, 80, 110]).rotations)
     identity = torch.tensor([1.0, 0, 0, 0]).expand(len(avatar.surface), 4)
     got = Rotation.from_quat(
         skin_rotations(identity, avatar.weights, transforms, avatar.skeleton.parents).reshape(-1, 4).numpy(),
@@ -100,7 +100,7 @@ def test_equal_scales_make_anisotropic_gaussians_isotropic_ones(built):
         attributes = dataclasses.replace(attributes, scales=attributes.scales[..., :1].expand_as(attributes.scales))
         round_ = dataclasses.replace(attributes, scales=attributes.scales[..., 0].contiguous(), rotations=None)
         draw = build_rasterizer({"name": "torch"})
-        pictures = [draw(avatar.pose(a, *table([30]))[0], camera, WHITE).color for a in (attributes, round_)]
+        pictures = [draw(avatar.pose(a, table([30]))[0], camera, WHITE).color for a in (attributes, round_)]
     # float32 covariances by two formulas; 1e-5 is the bound between rasterizers where no threshold is crossed
     difference = (pictures[0] - pictures[1]).abs().amax(-1)
     assert (difference > 1e-4).float().mean() < 1e-3
@@ -112,7 +112,7 @@ def test_anisotropic_gaussians_train_and_are_not_exported(capture, tmp_path):
     config = [f"capture={capture}", f"out={out}", *SMALL, "encoder=none", "decoder.anisotropic=true"]
     train(compose_config([o for o in config if not o.startswith("encoder.")]), out)
     run = open_run(out)
-    (gaussians,) = run.avatar.pose(run.avatar.attributes(), *MotionTable(run.capture.motion, 52)([0]))
+    (gaussians,) = run.avatar.pose(run.avatar.attributes(), MotionTable(run.capture.motion, 52)([0]))
     spread = gaussians.scales.amax(-1) / gaussians.scales.amin(-1)
     assert gaussians.scales.shape == (len(run.avatar.surface), 3)
     assert float(spread.max()) > 1  # the axes have come apart

@@ -12,6 +12,7 @@ from stopped_runs import stopped_after
 from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.assemble import build_avatar
+from gavatar.avatar.trainable import Pose
 from gavatar.body.skeleton import Skeleton
 from gavatar.body.torch_rotations import matrix_from_axis_angle
 from gavatar.capture.opening import open_capture
@@ -53,7 +54,7 @@ def posed(built, change=None):
     generator = torch.Generator().manual_seed(0)
     turns = 0.5 * torch.randn(2, len(avatar.skeleton.parents), 3, generator=generator)
     with torch.no_grad():
-        drawn = avatar.pose(avatar.attributes(), matrix_from_axis_angle(turns), torch.zeros(2, 3), betas_change=change)
+        drawn = avatar.pose(avatar.attributes(), Pose(matrix_from_axis_angle(turns), torch.zeros(2, 3)), change)
     return torch.stack([gaussians.means for gaussians in drawn])
 
 
@@ -81,7 +82,8 @@ def test_the_gradient_of_the_shape_is_right(built):
     weights = torch.randn(len(avatar.points), 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
 
     def measured(change):
-        (gaussians,) = avatar.pose(attributes, turns, torch.zeros(1, 3, dtype=torch.float64), betas_change=change)
+        pose = Pose(turns, torch.zeros(1, 3, dtype=torch.float64))
+        (gaussians,) = avatar.pose(attributes, pose, change)
         return (gaussians.means * weights).sum()[None]
 
     change = torch.full((3,), 0.2, dtype=torch.float64, requires_grad=True)
@@ -131,8 +133,8 @@ def test_a_wrong_shape_is_repaired_and_images_gain(tmp_path):
     for betas in ("false", "true"):
         out = tmp_path / betas
         trainer = train(compose_config([*settings, f"out={out}", f"motion.betas={betas}"]), out)
-        errors[betas] = float(np.linalg.norm(trainer.built.betas - true))
-        images[betas] = np.mean([entry["losses"]["l1"] for entry in trainer.history[-3:]])
+        errors[betas] = float(np.linalg.norm(trainer.scene.built.betas - true))
+        images[betas] = np.mean([entry["losses"]["l1"] for entry in trainer.record.history[-3:]])
     assert errors["false"] == pytest.approx(1)
     assert errors["true"] < 0.7  # 0.51 measured; the prior and a hundred steps leave the rest
     assert images["true"] < images["false"]

@@ -11,9 +11,12 @@ from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.config import check, compose_config
 from gavatar.storage import load_tensors
-from gavatar.training.remedies.acceptance import dynamics_verdict, held_out_rows, refuse_worse_poses, view_errors
+from gavatar.training.remedies.acceptance import dynamics_verdict, held_out_rows, refuse_worse_poses
 from gavatar.training.run import open_run, train
+from gavatar.training.scene import Scene
 from gavatar.training.stage import REFUSED
+from gavatar.training.trainer import Trainer
+from gavatar.training.verdicts import DynamicsVerdict
 from gavatar_runtime.errors import UserError
 
 
@@ -27,20 +30,22 @@ def run(capture, out, *overrides):
 
 
 def test_a_frame_whose_pose_got_worse_is_given_its_estimate_back(capture, tmp_path):
-    trainer = run(capture, tmp_path, "stage1.steps=30", "stage2.steps=0", "motion.guard=false")
-    before = trainer.motion.rotation_correction.detach().clone()
+    scene = run(capture, tmp_path, "stage1.steps=30", "stage2.steps=0", "motion.guard=false").scene
+    table = scene.motion
+    before = table.rotation_correction.detach().clone()
     with torch.no_grad():
-        trainer.motion.rotation_correction[2, 0] = torch.tensor([0.0, 0.0, 1.5])  # lies on its side
-    refused = refuse_worse_poses(trainer)
+        table.rotation_correction[2, 0] = torch.tensor([0.0, 0.0, 1.5])  # lies on its side
+    refused = refuse_worse_poses(scene, 0.25)
     assert 2 in refused
-    after = trainer.motion.rotation_correction
+    after = table.rotation_correction
     assert not after[2].any()
-    assert not trainer.motion.trans_correction[2].any()
-    kept = [frame for frame in trainer.frames if frame not in refused]
+    assert not table.trans_correction[2].any()
+    kept = [frame for frame in scene.frames if frame not in refused]
     assert torch.equal(after[kept], before[kept])
     # what is left can only be better than, or as good as, the estimate
-    rows = list(range(len(trainer.views)))
-    assert (view_errors(trainer, rows, 1) <= view_errors(trainer, rows, 1, pose=trainer.motion.estimated)).all()
+    rows = list(range(len(scene.views)))
+    estimated = scene.errors(rows, 0.25, poses=lambda frame: table.estimated([frame]))
+    assert (scene.errors(rows, 0.25) <= estimated).all()
 
 
 def test_the_guard_reports_the_frames_it_refused(capture, tmp_path):
@@ -53,15 +58,15 @@ def test_the_guard_reports_the_frames_it_refused(capture, tmp_path):
 
 def test_dynamics_that_do_not_pay_leave_a_static_avatar(capture, tmp_path, monkeypatch):
     trainer = run(capture, tmp_path, "dynamics=auto", "dynamics_gain=50")
-    verdict = trainer.verdicts["dynamics"]
-    assert not verdict["kept"]
-    assert verdict["views"] == 1
+    verdict = trainer.record.verdicts.dynamics
+    assert not verdict.kept
+    assert verdict.views == 1
     assert (tmp_path / REFUSED).exists()
     assert not (tmp_path / "stage2.pt").exists()
     assert open_run(tmp_path).avatar.encoder is None
     # the same command again: what was judged is not judged anew
-    monkeypatch.setattr("gavatar.training.stage.view_errors", lambda *a, **k: pytest.fail("judged again"))
-    assert run(capture, tmp_path, "dynamics=auto", "dynamics_gain=50").verdicts["dynamics"] == verdict
+    monkeypatch.setattr(Scene, "errors", lambda *a, **k: pytest.fail("judged again"))
+    assert run(capture, tmp_path, "dynamics=auto", "dynamics_gain=50").record.verdicts.dynamics == verdict
     assert not (tmp_path / "stage2.pt").exists()
 
 
@@ -69,8 +74,8 @@ def test_both_looks_are_judged_by_images_of_one_size(capture, tmp_path):
     """An avatar that stage 2 does not change gains nothing, whatever the sizes of the stages' images."""
     sizes = ["stage1.levels=[{until:1.0,uv:64,image:0.5}]", "stage2.levels=[{until:1.0,uv:64,image:0.125}]"]
     still = ["stage2.lr_decoder=0", "stage2.lr_encoder=0", "motion.guard=false"]
-    verdict = run(capture, tmp_path, "dynamics=auto", *sizes, *still).verdicts["dynamics"]
-    assert verdict["gain_db"] == pytest.approx(0, abs=1e-3)
+    verdict = run(capture, tmp_path, "dynamics=auto", *sizes, *still).record.verdicts.dynamics
+    assert verdict.gain_db == pytest.approx(0, abs=1e-3)
 
 
 def test_dynamics_that_do_not_pay_give_the_poses_of_stage_1_back(capture, tmp_path):
@@ -78,7 +83,7 @@ def test_dynamics_that_do_not_pay_give_the_poses_of_stage_1_back(capture, tmp_pa
     trainer = run(capture, tmp_path, "dynamics=auto", "dynamics_gain=50", *moving)
     refused, kept = load_tensors(tmp_path / REFUSED)["motion"], load_tensors(tmp_path / "stage1.pt")["motion"]
     assert not torch.equal(refused["trans_correction"], kept["trans_correction"])
-    assert torch.equal(trainer.motion.trans_correction, kept["trans_correction"])
+    assert torch.equal(trainer.scene.motion.trans_correction, kept["trans_correction"])
     with np.load(tmp_path / "motion.npz") as file:
         np.testing.assert_array_equal(file["trans"], open_run(tmp_path).motion.motion().trans)
 
@@ -92,15 +97,19 @@ def test_rotations_and_translations_move_apart_in_stage_2(capture, tmp_path, mov
 
 
 def test_stage_2_never_sees_the_views_that_judge_it(capture, tmp_path, monkeypatch):
-    from gavatar.training import trainer as module
+    overrides = [f"capture={capture}", f"out={tmp_path}", *SMALL, "dynamics=auto", "stage2.steps=12"]
+    trainer = Trainer(check(compose_config(overrides)), tmp_path)
+    trainer.stage(1).run(None)
+    compare, learnt = trainer.scene.compare, set()
 
-    seen = []
-    original = module.Stage._render
-    monkeypatch.setattr(
-        module.Stage, "_render", lambda s, rows, *a: seen.append((s.number, rows)) or original(s, rows, *a)
-    )
-    run(capture, tmp_path, "dynamics=auto", "stage2.steps=12")
-    assert {row for number, rows in seen for row in rows if number == 2} == {0, 1, 2, 3, 5}
+    def watched(rows, *arguments, **options):
+        if torch.is_grad_enabled():  # else it is being judged
+            learnt.update(rows)
+        return compare(rows, *arguments, **options)
+
+    monkeypatch.setattr(trainer.scene, "compare", watched)
+    trainer.stage(2).run(None)
+    assert learnt == {0, 1, 2, 3, 5}
     assert held_out_rows(6) == [4]
 
 
@@ -111,12 +120,11 @@ def test_stage_2_never_sees_the_views_that_judge_it(capture, tmp_path, monkeypat
 )  # fmt: skip
 def test_dynamics_are_kept_for_a_gain_beyond_chance(ratio, kept):
     static = np.full(len(ratio), 1e-3)
-    assert dynamics_verdict(static, static * ratio, 0.1)["kept"] is kept
+    assert dynamics_verdict(static, static * ratio, 0.1).kept is kept
 
 
 def test_equal_images_do_not_break_the_verdict():
-    verdict = dynamics_verdict(np.zeros(4), np.zeros(4), 0.1)
-    assert verdict == {"kept": False, "gain_db": 0.0, "standard_error_db": 0.0, "views": 4}
+    assert dynamics_verdict(np.zeros(4), np.zeros(4), 0.1) == DynamicsVerdict(False, 0.0, 0.0, 4)
 
 
 def test_encoder_auto_is_the_linear_one_on_trial(capture):

@@ -46,18 +46,19 @@ def run(capture, out, *overrides):
 
 def off_by(trainer):
     """(T,) metres between each training frame's root and the truth."""
-    return np.linalg.norm(trainer.motion.motion().trans - trainer.capture.truth.trans, axis=-1)[: len(FRAMES)]
+    return np.linalg.norm(trainer.scene.motion.motion().trans - trainer.capture.truth.trans, axis=-1)[: len(FRAMES)]
 
 
 def test_a_jump_is_mended_and_the_frames_around_it_are_not_touched(capture, tmp_path):
     trainer = run(capture, tmp_path, "motion.mend=0.7", "motion.start=0.7")
-    assert trainer.verdicts["frames_mended"] == [JUMPED]
+    assert trainer.record.verdicts.frames_mended == [JUMPED]
     assert json.loads((tmp_path / "metrics.json").read_text())["verdicts"]["frames_mended"] == [JUMPED]
     assert off_by(trainer)[JUMPED] < 0.03
 
 
 def test_the_end_of_the_stage_is_a_time_to_mend(capture, tmp_path):
-    assert "frames_mended" in run(capture, tmp_path, "motion.mend=1", "stage1.steps=2").verdicts
+    verdicts = run(capture, tmp_path, "motion.mend=1", "stage1.steps=2").record.verdicts
+    assert verdicts.frames_mended is not None
 
 
 def test_without_mending_the_jump_stays(capture, tmp_path):
@@ -77,13 +78,13 @@ def test_a_run_stopped_after_mending_resumes_to_the_same_result(capture, tmp_pat
 
 
 def test_exchanged_limbs_are_recognised(capture, tmp_path):
-    trainer = run(capture, tmp_path, "motion.enabled=false")
-    table, names = trainer.motion, list(trainer.built.body.data.joint_names)
+    scene = run(capture, tmp_path, "motion.enabled=false").scene
+    table, names = scene.motion, list(scene.built.body.data.joint_names)
     true = table.initial_rotations[UNEVEN].clone()
     table.initial_rotations[UNEVEN] = exchanged(true, names)
-    assert UNEVEN in mend_outliers(trainer, 0.25)
+    assert UNEVEN in mend_outliers(scene, 0.25)
     # a rotation and its inverse in float32
-    assert torch.allclose(table([UNEVEN])[0][0], true, atol=1e-5)
+    assert torch.allclose(table([UNEVEN]).rotations[0], true, atol=1e-5)
 
 
 def table_of(poses, trans, fps=10.0):
@@ -97,11 +98,11 @@ def test_a_steady_motion_is_its_own_interpolation():
     trans = np.stack([times, 0 * times, 2 * times], -1)
     found = between(table_of(poses, trans), [0, 1, 3, 5], 0.0)
     assert sorted(found) == [1, 3]  # ends have no neighbour on one side
-    for frame, (rotations, place) in found.items():
+    for frame, pose in found.items():
         expected = matrix_from_axis_angle(torch.as_tensor(poses[frame], dtype=torch.float32))
         # float32 rotation vectors near pi
-        assert torch.allclose(rotations[0], expected, atol=1e-5)
-        assert torch.allclose(place[0], torch.as_tensor(trans[frame], dtype=torch.float32), atol=1e-6)
+        assert torch.allclose(pose.rotations[0], expected, atol=1e-5)
+        assert torch.allclose(pose.trans[0], torch.as_tensor(trans[frame], dtype=torch.float32), atol=1e-6)
 
 
 @pytest.mark.parametrize(("count", "reach"), [(1, 0.0), (2, 0.0), (5, 10.0)])

@@ -1,0 +1,124 @@
+"""What each stage of a training does (paper, section 4.3), as a value."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from ..config import MotionConfig, StageConfig, TrainConfig
+from .schedule import sharing_width
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """One stage: what learns in it, at what rates and on what images, and which remedies it applies.
+
+    stage: steps, batch, rates and levels. seed, background: of the views it draws and what lies behind them.
+    preview_every, save_every: steps.
+
+    What learns, besides the decoder. dynamic: the avatar is drawn with its pose encoder, which learns; else it looks
+    alike in every pose. learns_features, learns_exposure, learns_shape: true where it does. poses_move: the poses are
+    refined, by pose_rates in radians and metres a step, within the fractions `window` of the stage, with the options
+    `motion`. narrowing: neighbouring frames share less and less of their corrections, else as little as at the end of a
+    stage that narrows.
+
+    Remedies. mend_step: before which outliers are mended, None for never. guard: poses that got worse are refused.
+    fill_unseen: points that no view saw take on their surroundings. least_gain: dB that dynamics must gain on held-out
+    views to be kept, None where they are kept unasked; static_uv: side of the atlas of the avatar they must surpass.
+    """
+
+    number: int
+    stage: StageConfig
+    motion: MotionConfig
+    seed: int
+    background: str
+    dynamic: bool
+    learns_features: bool
+    learns_exposure: bool
+    learns_shape: bool
+    poses_move: bool
+    pose_rates: tuple[float, float]
+    window: tuple[float, float]
+    narrowing: bool
+    mend_step: int | None
+    guard: bool
+    fill_unseen: bool
+    least_gain: float | None
+    static_uv: int
+    preview_every: int
+    save_every: int
+
+    def poses_move_at(self, progress: float) -> bool:
+        """Whether poses are refined at `progress`, 0 to 1, of the stage."""
+        return self.poses_move and self.window[0] <= progress <= self.window[1]
+
+    def sharing(self, progress: float, span: float) -> float:
+        """Seconds over which the frames of a capture of `span` seconds share their corrections."""
+        return sharing_width(self.motion, progress if self.narrowing else 1.0, span)
+
+    @property
+    def image(self) -> float:
+        """Scale of the images that the stage ends with."""
+        return self.stage.levels[-1].image
+
+
+def stage_plans(config: TrainConfig, dynamic: bool) -> list[Plan]:
+    """The stages of a training. dynamic: the avatar has a pose encoder."""
+    plans = [appearance(config)]
+    if dynamic and config.stage2.steps:
+        plans.append(dynamics(config))
+    return plans
+
+
+def appearance(config: TrainConfig) -> Plan:
+    """Stage 1: how the person looks, and how they move."""
+    motion, steps = config.motion, config.stage1.steps
+    mends = motion.enabled and motion.mend > 0
+    return Plan(
+        number=1,
+        stage=config.stage1,
+        motion=motion,
+        seed=config.seed + 1,
+        background=config.background,
+        dynamic=False,
+        learns_features=True,
+        learns_exposure=config.exposure,
+        learns_shape=motion.enabled and motion.betas,
+        poses_move=motion.enabled,
+        pose_rates=(motion.lr, motion.lr_trans),
+        window=(motion.start, motion.end),
+        narrowing=True,
+        mend_step=min(round(motion.mend * steps), steps - 1) if mends else None,
+        guard=motion.guard,
+        fill_unseen=config.fill_unseen,
+        least_gain=None,
+        static_uv=config.stage1.levels[-1].uv,
+        preview_every=config.preview_every,
+        save_every=config.checkpoint_every,
+    )
+
+
+def dynamics(config: TrainConfig) -> Plan:
+    """Stage 2: how the look hangs on the pose."""
+    motion = config.motion
+    return Plan(
+        number=2,
+        stage=config.stage2,
+        motion=motion,
+        seed=config.seed + 2,
+        background=config.background,
+        dynamic=True,
+        learns_features=config.stage2.lr_features > 0,
+        learns_exposure=False,
+        learns_shape=False,
+        poses_move=motion.enabled and max(motion.stage2, motion.stage2_trans) > 0,
+        pose_rates=(motion.stage2 * motion.lr, motion.stage2_trans * motion.lr_trans),
+        window=(0.0, 1.0),
+        narrowing=False,
+        mend_step=None,
+        guard=motion.guard,
+        fill_unseen=False,
+        least_gain=config.dynamics_gain if config.dynamics == "auto" else None,
+        static_uv=config.stage1.levels[-1].uv,
+        preview_every=config.preview_every,
+        save_every=config.checkpoint_every,
+    )

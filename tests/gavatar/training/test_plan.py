@@ -1,0 +1,89 @@
+"""What the two stages do is a value, and what they found out is another."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import pytest
+
+from gavatar.config import check, compose_config
+from gavatar.training.plan import Plan, stage_plans
+from gavatar.training.verdicts import DynamicsVerdict, FillingVerdict, ShapeVerdict, Verdicts
+
+
+def plans(*overrides, dynamic: bool = True) -> list[Plan]:
+    return stage_plans(check(compose_config(["capture=x", "out=x", "experiment=demo", *overrides])), dynamic)
+
+
+def test_appearance_and_motion_come_first_dynamics_second():
+    one, two = plans("stage2.lr_features=0", "motion.stage2=0", "motion.stage2_trans=0", "seed=3")
+    assert (one.number, two.number) == (1, 2)
+    assert (one.seed, two.seed) == (4, 5)  # each draws views and backgrounds of its own
+    assert (one.dynamic, two.dynamic) == (False, True)
+    assert (one.learns_features, two.learns_features) == (True, False)
+    assert (one.poses_move, two.poses_move) == (True, False)
+    assert one.static_uv == two.static_uv == one.stage.levels[-1].uv
+
+
+@pytest.mark.parametrize(("overrides", "dynamic"), [([], False), (["stage2.steps=0"], True)])
+def test_an_avatar_without_dynamics_has_one_stage(overrides, dynamic):
+    assert [plan.number for plan in plans(*overrides, dynamic=dynamic)] == [1]
+
+
+def test_poses_move_within_the_window_of_stage_1_and_all_through_stage_2():
+    one, two = plans("motion.start=0.25", "motion.end=0.5", "motion.stage2=0.5", "motion.stage2_trans=0")
+    progress = (0.0, 0.25, 0.5, 0.75, 1.0)
+    assert [one.poses_move_at(p) for p in progress] == [False, True, True, False, False]
+    assert all(two.poses_move_at(p) for p in progress)
+    assert two.pose_rates == (0.5 * two.motion.lr, 0)
+    still = plans("motion.enabled=false")
+    assert not any(plan.poses_move_at(p) for plan in still for p in progress)
+
+
+def test_frames_share_less_and_less_in_stage_1_and_least_in_stage_2():
+    one, two = plans("motion.sharing=0.8", "motion.sharing_final=0.2", "motion.sharing_end=0.5")
+    assert [one.sharing(p, 100.0) for p in (0.0, 0.25, 1.0)] == pytest.approx([0.8, 0.5, 0.2])
+    assert [two.sharing(p, 100.0) for p in (0.0, 1.0)] == pytest.approx([0.2, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("mend", "steps", "expected"),
+    [(0.0, 10, None), (0.5, 10, 5), (1.0, 10, 9), (1.0, 1, 0), (0.01, 10, 0)],
+)
+def test_outliers_are_mended_before_a_step_that_there_is(mend, steps, expected):
+    assert plans(f"motion.mend={mend}", f"stage1.steps={steps}")[0].mend_step == expected
+
+
+def test_what_needs_moving_poses_rests_where_they_do():
+    (one, *_) = plans("motion.enabled=false", "motion.mend=0.5", "motion.betas=true")
+    assert (one.mend_step, one.learns_shape) == (None, False)
+
+
+@pytest.mark.parametrize(("dynamics", "least"), [("auto", 0.25), ("always", None)])
+def test_dynamics_are_judged_in_stage_2_where_asked_to(dynamics, least):
+    one, two = plans(f"dynamics={dynamics}", "dynamics_gain=0.25")
+    assert (one.least_gain, two.least_gain) == (None, least)
+
+
+WHOLE = Verdicts(
+    betas=ShapeVerdict([0.0, 1.0], [0.5, 1.0]),
+    static_errors=[0.25],
+    dynamics=DynamicsVerdict(False, -0.5, None, 1),
+    frames_mended=[],
+    frames_kept_as_estimated=[3],
+    frames_kept_as_estimated_stage2=[],
+    unseen=FillingVerdict(5, 9, 0),
+)
+
+
+@pytest.mark.parametrize("verdicts", [Verdicts(), Verdicts(frames_mended=[]), WHOLE])
+def test_verdicts_come_back_from_json_as_they_were(verdicts):
+    assert Verdicts.from_json(json.loads(json.dumps(verdicts.as_json()))) == verdicts
+
+
+def test_json_holds_what_was_decided_alone():
+    assert Verdicts().as_json() == {}
+    assert Verdicts(frames_mended=[]).as_json() == {"frames_mended": []}  # asked, and nothing found
+    assert set(WHOLE.as_json()) == {field.name for field in dataclasses.fields(Verdicts)}
+    assert WHOLE.as_json()["dynamics"] == {"kept": False, "gain_db": -0.5, "standard_error_db": None, "views": 1}
