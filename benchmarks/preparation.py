@@ -22,9 +22,9 @@ from gavatar.body.skeleton import BodyData
 from gavatar.capture.capture import Capture, read_capture
 from gavatar.config import compose_config
 from gavatar.images.metrics import joint_errors
-from gavatar.prepare import CaptureFacts, Detector, FitOptions, SourceOptions, open_source, prepare
-from gavatar.prepare.draw import body_mask, iou, overlay
-from gavatar.prepare.initial import DEFAULT_FOV
+from gavatar.preparation import CaptureFacts, Detector, FitOptions, SourceOptions, open_source, prepare
+from gavatar.preparation.draw import body_mask, iou, overlay
+from gavatar.preparation.initial import DEFAULT_FOV
 from gavatar.registry import BODIES, load_plugins
 from gavatar.training.run import open_run, train
 from gavatar_runtime.geometry.spacing import evenly_spaced

@@ -34,8 +34,8 @@ from gavatar.config import compose_config
 from gavatar.evaluation.scores import Evaluator
 from gavatar.images.image_quality import mean_psnr, psnr, ssim
 from gavatar.images.metrics import masked
-from gavatar.prepare import CaptureFacts, Detector, FitOptions, Source, SourceOptions, open_source, prepare
-from gavatar.prepare.draw import iou
+from gavatar.preparation import CaptureFacts, Detector, FitOptions, Source, SourceOptions, open_source, prepare
+from gavatar.preparation.draw import iou
 from gavatar.registry import BODIES, load_plugins
 from gavatar.training.motion_table import MotionTable
 from gavatar.training.run import Run, open_run, train

@@ -142,7 +142,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _prepare(arguments: argparse.Namespace, frames: slice, masks: Path) -> int:
-    from ..prepare import CaptureFacts, Detector, FitOptions, SourceOptions, open_source, prepare
+    from ..preparation import CaptureFacts, Detector, FitOptions, SourceOptions, open_source, prepare
     from ..registry import BODIES, load_plugins
 
     load_plugins()

@@ -22,8 +22,8 @@ from gavatar.assemble import build_body, capture_on_body
 from gavatar.body.official_files import FAMILIES, read_body
 from gavatar.capture.capture import read_capture
 from gavatar.capture.check import check_capture
-from gavatar.prepare import BodyFitter, FitOptions
-from gavatar.prepare.landmarks import INDEX, landmark_rows
+from gavatar.preparation import BodyFitter, FitOptions
+from gavatar.preparation.landmarks import INDEX, landmark_rows
 from gavatar.registry import load_plugins
 from gavatar_plugins.bodies.free import load_free_body
 
