@@ -11,9 +11,10 @@ import pytest
 
 from gavatar.capture.capture import read_capture
 from gavatar.cli.prepare import main
-from gavatar.preparation import FitOptions, SourceOptions, open_source
 from gavatar.preparation.detect import Detector, notes
 from gavatar.preparation.draw import iou
+from gavatar.preparation.fit import FitOptions
+from gavatar.preparation.footage_source import SourceOptions, open_source
 from gavatar.preparation.landmarks import INDEX, Landmarks
 from gavatar.preparation.matting import largest_piece, refine_mask
 from gavatar.preparation.pose_network import (
