@@ -22,9 +22,13 @@ from gavatar.body.skeleton import BodyData
 from gavatar.capture.capture import Capture, read_capture
 from gavatar.config import compose_config
 from gavatar.images.metrics import joint_errors
-from gavatar.prepare import CaptureFacts, Detector, FitOptions, SourceOptions, open_source, prepare
-from gavatar.prepare.draw import body_mask, iou, overlay
-from gavatar.prepare.initial import DEFAULT_FOV
+from gavatar.preparation.detect import Detector
+from gavatar.preparation.draw import body_mask, iou, overlay
+from gavatar.preparation.fit import FitOptions
+from gavatar.preparation.footage_source import SourceOptions, open_source
+from gavatar.preparation.initial import DEFAULT_FOV
+from gavatar.preparation.pipeline import fit_and_write
+from gavatar.preparation.write import CaptureFacts
 from gavatar.registry import BODIES, load_plugins
 from gavatar.training.run import open_run, train
 from gavatar_runtime.geometry.spacing import evenly_spaced
@@ -101,7 +105,7 @@ def main() -> None:
     source = open_source(clip, SourceOptions(detector=Detector(out / "masks"), most_frames=count))
     detected = time.perf_counter()
     facts = CaptureFacts("prepared", given.license, f"gavatar-prepare {clip.name}")
-    prepare(source, data, out / "capture", facts, fov=arguments.fov, options=FitOptions(), overwrite=True)
+    fit_and_write(source, data, out / "capture", facts, fov=arguments.fov, options=FitOptions(), overwrite=True)
     fitted = time.perf_counter()
     found = read_capture(out / "capture")
     lens = found.cameras["cam0"]

@@ -34,8 +34,12 @@ from gavatar.config import compose_config
 from gavatar.evaluation.scores import Evaluator
 from gavatar.images.image_quality import mean_psnr, psnr, ssim
 from gavatar.images.metrics import masked
-from gavatar.prepare import CaptureFacts, Detector, FitOptions, Source, SourceOptions, open_source, prepare
-from gavatar.prepare.draw import iou
+from gavatar.preparation.detect import Detector
+from gavatar.preparation.draw import iou
+from gavatar.preparation.fit import FitOptions
+from gavatar.preparation.footage_source import Source, SourceOptions, open_source
+from gavatar.preparation.pipeline import fit_and_write
+from gavatar.preparation.write import CaptureFacts
 from gavatar.registry import BODIES, load_plugins
 from gavatar.training.motion_table import MotionTable
 from gavatar.training.run import Run, open_run, train
@@ -170,7 +174,7 @@ def main() -> None:
     found = time.perf_counter()
     facts = CaptureFacts(options.footage.stem, holdout_camera=options.holdout)
     known = source.footage[0].lens is not None
-    quality = prepare(source, BODIES.build("free").data, out / "capture", facts, overwrite=True, progress=False,
+    quality = fit_and_write(source, BODIES.build("free").data, out / "capture", facts, overwrite=True, progress=False,
                       options=FitOptions(refine_cameras=known and len(source.footage) > 1))  # fmt: skip
     result["body"] = body_coverage(quality.iou, [f.name for f in source.footage])
     prepared = time.perf_counter()

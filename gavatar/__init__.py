@@ -1,8 +1,26 @@
-"""gavatar's research half: learns animatable Gaussian avatars from a single video (GaussianAvatar, CVPR 2024)."""
+"""gavatar's training half: learns animatable Gaussian avatars from a single video (GaussianAvatar, CVPR 2024).
+
+    import gavatar
+
+    run = gavatar.train(gavatar.prepare("clip.mp4", "captures/anna"))
+    run.export("anna.gavatar")
+
+Importing it is quick; what trains is imported when it is first asked for (`gavatar.face`), and says in one sentence
+which extra it needs where PyTorch is not installed.
+"""
+
+from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING, Any
 
 from gavatar_runtime import __version__
+from gavatar_runtime.errors import UserError
+
+from .optional import import_from_extra
+
+if TYPE_CHECKING:
+    from .face import ExportedAvatar, PreparedCapture, TrainedRun, open_capture, open_run, prepare, train
 
 # OpenMP's threads otherwise spin at every barrier: beside another busy process, or our own splatting threads, a
 # training step then takes ten to a hundred times as long. Read once, when torch loads it, so it stands here.
@@ -11,4 +29,17 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 # the other half). Read when torch allocates for the first time.
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 
-__all__ = ["__version__"]
+__all__ = [
+    "ExportedAvatar", "PreparedCapture", "TrainedRun", "UserError", "__version__", "open_capture", "open_run",
+    "prepare", "train",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'gavatar' has no attribute '{name}'")
+    return getattr(import_from_extra("gavatar.face", f"gavatar.{name}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -21,7 +21,10 @@ __all__ = ["SMPL_BODY_JOINTS", "Body", "BodyData", "PosedBody", "Skeleton", "joi
 
 
 class Body(Protocol):
-    """A component of the `body` registry: where a body's numbers come from."""
+    """A component of the `body` registry: where a body's numbers come from.
+
+    capture_name, an attribute that it may have: what captures call it, where that is not its name in the registry.
+    """
 
     data: BodyData
     license: str

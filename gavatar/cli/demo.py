@@ -36,7 +36,7 @@ def main(argv: list[str] | None = None) -> int:
             raise UserError(f"'{override}' is not a setting: write KEY=VALUE, or --out DIR for the folder")
     from ..config import register_configs
     from ..demo import demo_capture, run_demo, screen
-    from .train import check_overrides
+    from ..overrides import check_overrides
 
     register_configs()
     check_overrides([f"capture={demo_capture()}", "experiment=demo", *arguments.overrides])

@@ -44,27 +44,19 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
-    from ..config import register_configs
-    from ..evaluation.dynamics import weigh_dynamics
     from ..evaluation.report import evaluation_figure, table
-    from ..evaluation.scores import evaluate
-    from ..training.run import open_run
+    from ..face import open_run
 
     if arguments.fit_steps < 1:
         raise UserError("--fit-steps must be at least 1; leave fitting out with --no-fit")
-    register_configs()
-    run = open_run(arguments.run, arguments.stage, arguments.capture)
-    if arguments.rasterizer:
-        run.config.rasterizer = {"name": arguments.rasterizer}
     out = Path(arguments.out or arguments.run)
-    result = evaluate(
-        run,
-        splits=arguments.splits,
+    result = open_run(arguments.run, arguments.stage, arguments.capture).evaluate(
+        arguments.splits,
         fit_steps=0 if arguments.no_fit else arguments.fit_steps,
         perceptual=not arguments.no_perceptual,
+        rasterizer=arguments.rasterizer,
     )
     print(table(result))
-    result.dynamics = weigh_dynamics(result)
     if result.dynamics is not None:
         print(result.dynamics.sentence())
     result.write(out / "evaluation.json")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 from gavatar_runtime.errors import UserError, exit_cleanly
 
@@ -56,41 +55,17 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
-    from ..config import register_configs
-    from ..export.bundling import export, export_front
-    from ..training.run import open_run
+    from ..face import open_run
 
     if arguments.poses < 1:
         raise UserError("--poses must be at least 1: an export that is not verified is not written")
-    register_configs()
     run = open_run(arguments.run, arguments.stage, arguments.capture)
-    out = Path(arguments.out or Path(arguments.run) / f"{run.capture.name}.gavatar")
-    if out.suffix != ".gavatar":
-        raise UserError(f"{out}: a bundle's name ends in .gavatar")
-    tiers = [name.strip() for name in (arguments.tiers or "").split(",") if name.strip()]
-    options = {"uv": arguments.uv, "drop_unseen": arguments.drop_unseen, "progress": sys.stderr.isatty()}
-    if tiers == ["auto"]:
-        manifest = export_front(run, out, arguments.poses, **options)
-    else:
-        manifest = export(run, out, arguments.poses, tiers=tiers, **options)
-    check = manifest.export_check
-    print(
-        f"{out}: {manifest.gaussians} Gaussians, {'dynamic' if manifest.dynamic else 'static'}, "
-        f"opset {manifest.opset}, "
-        f"{out.stat().st_size / 1e6:.1f} MB\n"
-        f"verified on {check['poses']} poses: positions within {1000 * check['position_m']:.5f} mm, "
-        f"colours within {255 * check['color']:.4f}/255 of PyTorch"
-    )
-    if arguments.drop_unseen:
-        unseen = manifest.training["unseen"]
-        print(
-            f"unseen: {unseen['dropped']} Gaussians left out; {unseen['psnr']:.1f} dB against all of them on "
-            f"{unseen['views']} views held out, worst {unseen['worst_psnr']:.1f}"
-        )
-    for tier in manifest.tiers:
-        print(
-            f"tier {tier['name']}: {tier['psnr_capture']:.1f} dB against full on poses of the capture (worst "
-            f"{tier['worst_psnr_capture']:.1f}), {tier['psnr_mixed']:.1f} dB on mixed ones, {tier['frame_ms']:.1f} ms "
-            f"a frame of {tier['size']} pixels here"
-        )
+    print(run.export(
+        arguments.out, tiers=arguments.tiers or "", uv=arguments.uv, drop_unseen=arguments.drop_unseen,
+        poses=arguments.poses, progress=sys.stderr.isatty(),
+    ))  # fmt: skip
     return 0
+
+
+if __name__ == "__main__":
+    main()

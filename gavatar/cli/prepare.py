@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import tempfile
+import dataclasses
 from pathlib import Path
+from typing import Any
 
 from gavatar_runtime.errors import UserError, exit_cleanly
 
 from ..optional import requires_extra
+from ..preparation.settings import FITTED_BETAS, LARGEST, MOST_FRAMES, RANGES, check_numbers
 
-MOST_FRAMES, LARGEST = 200, 1024  # of raw video; pixels of the longer side
-FITTED_BETAS = 10  # official files have 16 or 300; beyond ten, one person's outline says next to nothing
-# "smplh" in a capture means the free body: captures made on it were labelled so before it had a name
-CALLED = {"smplh": "smplh-official", "auto": "free"}
 DESCRIPTION = "Find the person in a video, fit the body, write a capture that gavatar-train reads."
 EPILOG = """SOURCE is a video of one person before a camera that stands still, or a folder that holds one of
   frames/*.png (or one video)  masks/NAME.png  landmarks.npz            one camera that need not be known
@@ -93,21 +91,20 @@ def _slice(text: str) -> slice:
     return slice(*parts)
 
 
-def _check(arguments: argparse.Namespace) -> None:
-    ranges = {
-        "fps": (0, 10000),
-        "max_frames": (0, 100000),
-        "size": (16, 16384),
-        "fov": (1, 170),
-        "height": (0.5, 2.6),
-        "num_betas": (0, 400),
-    }
-    for name, (low, high) in ranges.items():
-        value = getattr(arguments, name)
-        if value is not None and not (low < value <= high):
-            raise UserError(
-                f"--{name.replace('_', '-')} {value:g} is out of range: give more than {low} and at most {high}"
-            )
+def _body(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The body as one value: its name and the options that were given."""
+    from ..registry import BODIES, load_plugins
+
+    load_plugins()
+    options = {"path": arguments.body_path, "gender": arguments.gender}
+    options = {key: value for key, value in options.items() if value is not None}
+    takes = {field.name for field in dataclasses.fields(BODIES[arguments.body].config)}
+    if not takes.issuperset(options):
+        raise UserError(
+            f"--body-path and --gender are for the official bodies, not for '{arguments.body}': give --body smpl, "
+            "smplh or smplx too"
+        )
+    return {"name": arguments.body, **options}
 
 
 def check(path: Path) -> int:
@@ -133,55 +130,15 @@ def main(argv: list[str] | None = None) -> int:
         return check(arguments.source)
     if arguments.out is None:
         raise UserError("give the folder to write by -o CAPTURE, or --check to look at a capture")
-    _check(arguments)
+    from ..preparation.from_footage import prepare
+
+    check_numbers({name: getattr(arguments, name) for name in RANGES}, lambda name: "--" + name.replace("_", "-"))
+    named = ("height", "fps", "max_frames", "size", "landmarks", "masks", "cameras", "fov", "refine_cameras",
+             "holdout_camera", "pose_network", "num_betas", "name", "license", "preview", "overwrite")  # fmt: skip
+    options = {name: getattr(arguments, name) for name in named}
     frames = _slice(arguments.frames)
-    if arguments.out.exists() and not arguments.overwrite:
-        raise UserError(f"{arguments.out} exists: choose another --out or replace it with --overwrite")
-    with tempfile.TemporaryDirectory(prefix="gavatar-masks-") as masks:
-        return _prepare(arguments, frames, Path(masks))
-
-
-def _prepare(arguments: argparse.Namespace, frames: slice, masks: Path) -> int:
-    from ..prepare import CaptureFacts, Detector, FitOptions, SourceOptions, open_source, prepare
-    from ..registry import BODIES, load_plugins
-
-    load_plugins()
-    options = {"path": arguments.body_path, "gender": arguments.gender}
-    options = {key: value for key, value in options.items() if value is not None}
-    if options and CALLED.get(arguments.body, arguments.body) == "free":
-        raise UserError("--body-path and --gender are for the official bodies: give --body smpl, smplh or smplx too")
-    data = BODIES.build(arguments.body, options).data  # before the footage, which takes long
-    places = {key: getattr(arguments, key) for key in ("landmarks", "masks", "cameras", "fps", "size")}
-    detector = Detector(masks, arguments.pose_network, not arguments.quiet)
-    limits = {"most_frames": arguments.max_frames, "largest": LARGEST}
-    source = open_source(arguments.source, SourceOptions(frames=frames, detector=detector, **limits, **places))
-    print(f"found {source.description}")
-    for note in source.notes:
-        print(f"note: {note}")
-    if arguments.fov is not None and source.footage[0].lens is not None:
-        raise UserError("--fov is for an unknown camera, but cameras.json calibrates it: leave one of them out")
-    out = arguments.out
-    name = arguments.name or out.resolve().name
-    facts = CaptureFacts(
-        name=name, license=arguments.license, source=f"gavatar-prepare {arguments.source.name}",
-        body_model=CALLED.get(arguments.body, arguments.body), gender=arguments.gender or "neutral",
-        holdout_camera=arguments.holdout_camera,
-    )  # fmt: skip
-    quality = prepare(
-        source,
-        data,
-        out,
-        facts,
-        **({} if arguments.fov is None else {"fov": arguments.fov}),
-        options=FitOptions(
-            stature=arguments.height, refine_cameras=arguments.refine_cameras, num_betas=arguments.num_betas
-        ),
-        overwrite=arguments.overwrite,
-        preview=arguments.preview,
-        progress=not arguments.quiet,
-    )
-    print(f"fit: {quality.sentence()}")
-    print(f"wrote {out}" + (f"; look at {out / 'preview.png'}" if arguments.preview else ""))
+    print(prepare(arguments.source, arguments.out, frames=frames, body=_body(arguments),
+                  progress=not arguments.quiet, **options))  # fmt: skip
     return 0
 
 

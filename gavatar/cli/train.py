@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.resources
 import os
+import shutil
 import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
-from gavatar_runtime.errors import UserError, did_you_mean, exit_cleanly
+from gavatar_runtime.errors import UserError, exit_cleanly
 
 from ..optional import requires_extra
 
@@ -15,6 +18,7 @@ USAGE = """gavatar-train: learn an avatar from a capture
 
   gavatar-train capture=DIR [out=RUN] [experiment=NAME] [GROUP=COMPONENT] [KEY=VALUE ...]
   gavatar-train capture=DIR --multirun decoder=mlp,upstream
+  gavatar-train capture='captures/*' --multirun
 
 examples
   gavatar-train capture=my_capture                         the default preset, run directory runs/my_capture
@@ -26,76 +30,6 @@ examples
 A killed run continues when the same command is given again; overwrite=true starts afresh.
 `gavatar-train --cfg job capture=DIR` prints the whole composed configuration; `gavatar-list` the components.
 """
-
-
-def check_overrides(arguments: list[str]) -> None:
-    """Compose every job of the command line once, so that a mistake is one sentence before anything starts."""
-    from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-    from hydra.errors import HydraException
-    from omegaconf.errors import OmegaConfBaseException
-
-    from ..config import check, compose_config
-    from ..registry import BODIES, CAPTURES, DECODERS, ENCODERS, RASTERIZERS
-
-    conf = importlib.resources.files("gavatar.conf")
-    groups = {r.group: r for r in (BODIES, CAPTURES, DECODERS, ENCODERS, RASTERIZERS)}
-    try:
-        parsed = OverridesParser.create().parse_overrides([a for a in arguments if not a.startswith(("-", "hydra."))])
-        for job in BasicSweeper.split_arguments(parsed, None)[0]:
-            for override in job:
-                group, _, name = override.partition("=")
-                if group in groups and not (conf / group / f"{name}.yaml").is_file():
-                    groups[group][name]  # raises with the choices and the nearest match
-            check(compose_config(job))
-    except (HydraException, OmegaConfBaseException) as error:
-        raise UserError(_one_sentence(error)) from None
-
-
-def _multirun(arguments: list[str]) -> list[str]:
-    """The flag first, wherever it stood, and sweep directories named by what differs between the jobs alone."""
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-    from hydra.errors import HydraException
-
-    rest = [a for a in arguments if a not in ("-m", "--multirun")]
-    try:
-        parsed = OverridesParser.create().parse_overrides([a for a in rest if not a.startswith("-")])
-    except HydraException as error:
-        raise UserError(_one_sentence(error)) from None
-    common = ",".join(o.get_key_element().lstrip("+~") for o in parsed if not o.is_sweep_override())
-    return ["--multirun", f"hydra.job.config.override_dirname.exclude_keys=[{common}]", *rest]
-
-
-def _one_sentence(error: Exception) -> str:
-    """Hydra's own message, shortened to what helps, with the nearest match where a key is unknown."""
-    import dataclasses
-    import re
-
-    from ..config import TrainConfig
-
-    lines = [line.strip() for line in str(error.__cause__ or error).splitlines() if line.strip()]
-    text = lines[0] if lines else type(error).__name__
-    unknown = re.search(r"Key '(\w+)' is not in struct|Key '(\w+)' not in '(\w+)'", text)
-    if unknown:
-        key = unknown.group(1) or unknown.group(2)
-        near = did_you_mean(key, [f.name for f in dataclasses.fields(TrainConfig)])
-        full = next((line for line in lines if line.startswith("full_key")), "")
-        where = full.removeprefix("full_key:").strip() or key
-        if "." not in where:
-            return f"unknown setting '{where}': {near}"
-        return f"unknown setting '{where}': see the choices with gavatar-train --cfg job capture=DIR"
-    return " ".join(lines[:2])
-
-
-def job(config) -> None:
-    """Train one composed configuration in Hydra's output directory."""
-    from pathlib import Path
-
-    from hydra.core.hydra_config import HydraConfig
-
-    from ..training.run import train
-
-    train(config, Path(HydraConfig.get().runtime.output_dir))
 
 
 @exit_cleanly
@@ -110,32 +44,73 @@ def main(argv: list[str] | None = None) -> int:
 
 @requires_extra("train")
 def _train(arguments: list[str]) -> int:
-    import hydra
-    from hydra.core.hydra_config import HydraConfig
-
     from ..config import register_configs
+    from ..overrides import check_overrides
+    from .sweep import asks_for_many, refuse_pattern, sweep_arguments
 
     register_configs()
-    if {"-m", "--multirun"} & set(arguments):
-        arguments = _multirun(arguments)
-    if not any(a.startswith("-") and a not in ("-m", "--multirun") for a in arguments):
-        check_overrides(arguments)
-    failures: list[UserError] = []
+    names: dict[str, str] = {}
+    many = asks_for_many(arguments)
+    if many:
+        arguments, names = sweep_arguments(arguments)
+    if any(a.startswith("-") and a != "--multirun" for a in arguments):  # only asks, as --cfg does
+        _hydra(arguments, print)
+        return 0
+    if not many:
+        refuse_pattern(arguments)
+    jobs = check_overrides(arguments)
+    # where the runs go, which other machines see as well
+    beside = Path(jobs[0].out).absolute().parent
+    with _scratch_folder(beside) as folder:
+        return _run_jobs(arguments, names, folder, len(jobs) if many else None)
 
-    def guarded(config):
-        try:
-            job(config)
-        except UserError as error:
-            failures.append(error)
-            print(f"error: {error}", file=sys.stderr)
-            with contextlib.suppress(OSError):  # Hydra made the directory; it stays only if there is something in it
-                os.rmdir(HydraConfig.get().runtime.output_dir)
 
-    guarded.__module__ = "__main__"
+def _run_jobs(arguments: list[str], names: dict[str, str], folder: Path, expected: int | None) -> int:
+    """Let Hydra run the jobs; what went wrong goes to stderr. expected: how many, None for a single one.
+    Returns the exit code of the worst."""
+    from .jobs import CRASHED, MISTAKEN, arrive
+
+    job = arrive(names, folder)
+    _hydra(arguments, job)
+    outcomes = job.results()
+    for outcome in outcomes:
+        if outcome.code:
+            where = "" if expected is None else f"{outcome.directory}: "
+            print(f"error: {where}{outcome.message}", file=sys.stderr)
+    codes = {outcome.code for outcome in outcomes}
+    counted = not any(a.startswith("hydra/sweeper") for a in arguments)  # another sweeper than Hydra's own may do fewer
+    if expected is not None and counted and len(outcomes) < expected:
+        print(f"error: {expected - len(outcomes)} of {expected} jobs ended without a result", file=sys.stderr)
+        codes.add(CRASHED)
+    if expected is not None:
+        print(f"{sum(not outcome.code for outcome in outcomes)} of {expected} runs trained")
+    return next((code for code in (CRASHED, MISTAKEN) if code in codes), 0)
+
+
+def _hydra(arguments: list[str], task: Callable[..., object]) -> None:
+    import hydra
+
     sys.argv = ["gavatar-train", *arguments]
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # a traceback here is a bug: show the whole of it
-    hydra.main(version_base="1.3", config_path="pkg://gavatar.conf", config_name="train")(guarded)()
-    return 2 if failures else 0
+    hydra.main(version_base="1.3", config_path="pkg://gavatar.conf", config_name="train")(task)()
+
+
+@contextlib.contextmanager
+def _scratch_folder(beside: Path) -> Iterator[Path]:
+    """A folder that is gone afterwards, and so are those above it that it was the only reason for."""
+    made = [path for path in (beside, *beside.parents) if not path.exists()]
+    try:
+        beside.mkdir(parents=True, exist_ok=True)
+        folder = tempfile.mkdtemp(prefix=".gavatar-train-", dir=beside)
+    except OSError as error:
+        raise UserError(f"{beside} cannot be written: {error.strerror or error}") from None
+    try:
+        yield Path(folder)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            for path in made:
+                path.rmdir()
 
 
 if __name__ == "__main__":

@@ -28,7 +28,11 @@ class AutoBodyConfig:
 class AutoBody:
     """Without a capture, the free body. data, license: its own."""
 
+    capture_name = "free"
+
     def __init__(self, config: AutoBodyConfig):
+        if config.path or config.gender:
+            raise UserError("body 'auto' is chosen by a capture, and here is none: name the body that the files are of")
         self.config = config
         body = BODIES.build("free")
         self.data, self.license = body.data, body.license

@@ -30,6 +30,8 @@ class SmplhConfig:
 class Smplh:
     """data: the numbers of the model. license: of its files."""
 
+    capture_name = "smplh-official"  # `smplh` is what captures called the free body before it had a name
+
     def __init__(self, config: SmplhConfig):
         self.config = config
         self.data, self.license = official_body("smplh", config)

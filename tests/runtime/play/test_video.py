@@ -11,15 +11,24 @@ import pytest
 
 from gavatar.capture.capture import read_capture
 from gavatar.cli.prepare import main
-from gavatar.prepare import FitOptions, SourceOptions, open_source
-from gavatar.prepare.detect import Detector, notes
-from gavatar.prepare.draw import iou
-from gavatar.prepare.landmarks import INDEX, Landmarks
-from gavatar.prepare.matting import largest_piece, refine_mask
-from gavatar.prepare.pose_network import CROP_SIDE, PoseNetworks, Region, anchors, merge_overlapping, refine, sigmoid
-from gavatar.prepare.steadiness import STEADY, Steadiness
-from gavatar.prepare.track import Tracked, track
-from gavatar.prepare.video_reading import video_facts, video_frames
+from gavatar.preparation.detect import Detector, notes
+from gavatar.preparation.draw import iou
+from gavatar.preparation.fit import FitOptions
+from gavatar.preparation.footage_source import SourceOptions, open_source
+from gavatar.preparation.landmarks import INDEX, Landmarks
+from gavatar.preparation.matting import largest_piece, refine_mask
+from gavatar.preparation.pose_network import (
+    CROP_SIDE,
+    PoseNetworks,
+    Region,
+    anchors,
+    merge_overlapping,
+    refine,
+    sigmoid,
+)
+from gavatar.preparation.steadiness import STEADY, Steadiness
+from gavatar.preparation.track import Tracked, track
+from gavatar.preparation.video_reading import video_facts, video_frames
 from gavatar_plugins.bodies.free import load_free_body
 from gavatar_runtime.errors import UserError
 

@@ -22,8 +22,8 @@ from gavatar.assemble import build_body, capture_on_body
 from gavatar.body.official_files import FAMILIES, read_body
 from gavatar.capture.capture import read_capture
 from gavatar.capture.check import check_capture
-from gavatar.prepare import BodyFitter, FitOptions
-from gavatar.prepare.landmarks import INDEX, landmark_rows
+from gavatar.preparation.fit import BodyFitter, FitOptions
+from gavatar.preparation.landmarks import INDEX, landmark_rows
 from gavatar.registry import load_plugins
 from gavatar_plugins.bodies.free import load_free_body
 
@@ -106,7 +106,7 @@ def test_the_command_fits_official_bodies(models, family, footage, tmp_path, mon
     [
         (["--body", "smplx"], "no neutral SMPL-X model was found"),
         (["--gender", "female"], "--body-path and --gender are for the official bodies"),
-        (["--body", "auto", "--gender", "female"], "--body-path and --gender are for the official bodies"),
+        (["--body", "auto", "--gender", "female"], "body 'auto' is chosen by a capture"),
         (["--body", "smpll"], "smpll"),
         (["--num-betas", 0], "--num-betas 0 is out of range"),
     ],

@@ -11,15 +11,15 @@ import torch
 
 from gavatar.capture.capture import read_capture
 from gavatar.cli.prepare import main
-from gavatar.prepare import BodyFitter, FitOptions, Landmarks, SourceOptions, open_source, read_landmarks
-from gavatar.prepare.anatomy import joint_ranges
-from gavatar.prepare.draw import body_mask, iou
-from gavatar.prepare.footage_source import Lens
-from gavatar.prepare.initial import guess_camera, observe, rays, torso_frames, unflip
-from gavatar.prepare.landmarks import BONES, INDEX, MIRROR, NAMES, landmark_rows
-from gavatar.prepare.pipeline import settle
-from gavatar.prepare.silhouette import prepare_silhouettes
-from gavatar.prepare.write import make_splits, new_folder
+from gavatar.preparation.anatomy import joint_ranges
+from gavatar.preparation.draw import body_mask, iou
+from gavatar.preparation.fit import BodyFitter, FitOptions
+from gavatar.preparation.footage_source import Lens, SourceOptions, open_source
+from gavatar.preparation.initial import guess_camera, observe, rays, torso_frames, unflip
+from gavatar.preparation.landmarks import BONES, INDEX, MIRROR, NAMES, Landmarks, landmark_rows, read_landmarks
+from gavatar.preparation.pipeline import settle
+from gavatar.preparation.silhouette import prepare_silhouettes
+from gavatar.preparation.write import make_splits, new_folder
 from gavatar_plugins.bodies.free import load_free_body
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.rotations import matrix_from_axis_angle

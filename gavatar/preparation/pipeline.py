@@ -37,7 +37,7 @@ class Quality:
         )
 
 
-def prepare(
+def fit_and_write(
     source: Source,
     data: BodyData,
     out: Path,

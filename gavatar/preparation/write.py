@@ -49,7 +49,7 @@ def new_folder(path: Path, overwrite: bool) -> Iterator[Path]:
     """
     if path.exists() or path.is_symlink():
         if not overwrite:
-            raise UserError(f"{path} exists: choose another --out or replace it with --overwrite")
+            raise UserError(f"{path} exists: choose another folder, or replace it with --overwrite (overwrite=True)")
         if not path.is_dir() or (any(path.iterdir()) and not (path / "capture.json").is_file()):
             raise UserError(f"{path} is no capture (no capture.json in it), so --overwrite will not delete it")
     try:

@@ -1,0 +1,77 @@
+"""One training of `gavatar-train` as Hydra runs it: here, or sent by a launcher to another process or machine."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import traceback
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+
+from gavatar_runtime.errors import UserError
+
+from ..config import register_configs
+from ..storage import write_json
+from ..training.run import train
+
+DONE, CRASHED, MISTAKEN = 0, 1, 2  # exit codes, and what they stand for
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """How a job ended. directory: of its run. code: the exit code it stands for. message: a sentence, or a traceback
+    when it crashed."""
+
+    directory: str
+    code: int
+    message: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """The task that Hydra is given. names: of the swept captures' directories. outcomes: a folder into which each job
+    writes how it ended, since neither launchers nor sweepers bring that back."""
+
+    names: Mapping[str, str]
+    outcomes: Path
+
+    def __call__(self, config: DictConfig) -> None:
+        """Train in Hydra's output directory. Errors are written down, not raised: other jobs go on."""
+        hydra = HydraConfig.get()
+        directory = Path(hydra.runtime.output_dir)
+        shown = os.path.relpath(directory)
+        try:
+            config.out = str(directory)
+            train(config, directory)
+            outcome = Outcome(shown, DONE)
+        except UserError as error:
+            outcome = Outcome(shown, MISTAKEN, str(error))
+        except Exception:
+            outcome = Outcome(shown, CRASHED, traceback.format_exc())
+        if outcome.code != DONE:
+            with contextlib.suppress(OSError):  # Hydra made the directory; it stays only if there is something in it
+                directory.rmdir()
+        number = OmegaConf.select(hydra, "job.num", throw_on_missing=False) or 0
+        write_json(self.outcomes / f"{number}.json", dataclasses.asdict(outcome))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return arrive, (dict(self.names), self.outcomes)
+
+    def results(self) -> list[Outcome]:
+        """How the jobs ended that did end, in their order."""
+        files = sorted(self.outcomes.glob("*.json"), key=lambda path: int(path.stem))
+        return [Outcome(**json.loads(path.read_text(encoding="utf-8"))) for path in files]
+
+
+def arrive(names: Mapping[str, str], outcomes: Path) -> Job:
+    """A job in the process where it is to run, with the registries and resolvers that its configuration needs. Hydra
+    resolves the run's directory before it calls the job, so this happens as the job is unpickled."""
+    register_configs()
+    OmegaConf.register_new_resolver("run_name", lambda path: names[str(path)], replace=True)
+    return Job(names, outcomes)
