@@ -22,12 +22,72 @@ from gavatar_runtime.motions import MOTIONS
 
 from .optional import extra_of, install_command
 
-BODIES: Registry = Registry("body")
-ENCODERS: Registry = Registry("encoder")
-DECODERS: Registry = Registry("decoder")
-RASTERIZERS: Registry = Registry("rasterizer")
-LOSSES: Registry = Registry("loss")
-CAPTURES: Registry = Registry("capture_format")
+
+
+@dataclasses.dataclass(frozen=True)
+class BodyTraits:
+    """chooses: it stands for others: its factory has `choose(options, capture)`, which gives the node of the body for a
+    capture. body_model: what a capture that was fitted to it says in this field, '' for the component's own name."""
+
+    chooses: bool = False
+    body_model: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class EncoderTraits:
+    """static: it is no network; the avatar looks alike in every pose. not_exported: why an avatar with such an encoder
+    is not exported, '' if it is."""
+
+    static: bool = False
+    not_exported: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class DecoderTraits:
+    """not_exported: why an avatar with such a decoder is not exported, '' if it is."""
+
+    not_exported: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class RasterizerTraits:
+    """differentiable: gradients reach means, scales, colors, opacities, quaternions and background from color, alpha
+    and depth. devices: types of torch's devices whose tensors it draws. wants_normals: `Gaussians.normals` are of use.
+    widens: every splat gains the variance of the low-pass filter, so that a camera with finer pixels than training's
+    needs `gavatar_runtime.render.widening`. resolution: share of the image's sides that it draws at. played_with: those
+    of its options that a bundle keeps and is played with, since they change the picture."""
+
+    differentiable: bool = True
+    devices: tuple[str, ...] = ("cpu", "cuda")
+    wants_normals: bool = False
+    widens: bool = True
+    resolution: float = 1.0
+    played_with: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class LossTraits:
+    """judges_poses: it says how well a pose fits an image, at a cost that fitting poses of a trained avatar can bear.
+    in_progress_bar: its value is shown while training."""
+
+    judges_poses: bool = True
+    in_progress_bar: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class CaptureTraits:
+    """chooses: it stands for others: its factory has `choose(options, path)`, which gives the node of the layout that a
+    folder has."""
+
+    chooses: bool = False
+
+
+BODIES: Registry = Registry("body", BodyTraits)
+ENCODERS: Registry = Registry("encoder", EncoderTraits)
+DECODERS: Registry = Registry("decoder", DecoderTraits)
+RASTERIZERS: Registry = Registry("rasterizer", RasterizerTraits)
+LOSSES: Registry = Registry("loss", LossTraits)
+CAPTURES: Registry = Registry("capture_format", CaptureTraits)
 TIERS: Registry = Registry("tier")
 
 REGISTRIES: tuple[Registry, ...] = (BODIES, ENCODERS, DECODERS, RASTERIZERS, LOSSES, CAPTURES, MOTIONS, TIERS)
@@ -36,7 +96,8 @@ PLUGIN_ROOMS = ("bodies", "captures", "decoders", "encoders", "losses", "rasteri
 
 __all__ = [
     "BODIES", "CAPTURES", "DECODERS", "ENCODERS", "LOSSES", "MOTIONS", "RASTERIZERS", "REGISTRIES", "TIERS",
-    "Component", "NoOptions", "PluginFailure", "Registry", "fill_config_store", "load_plugins",
+    "BodyTraits", "CaptureTraits", "Component", "DecoderTraits", "EncoderTraits", "LossTraits", "NoOptions",
+    "PluginFailure", "RasterizerTraits", "Registry", "fill_config_store", "load_plugins", "resolve",
 ]  # fmt: skip
 
 
@@ -149,3 +210,12 @@ def _node(component: Component) -> type:
 def split_node(node: dict[str, Any]) -> tuple[str, dict[str, Any]]:
     """A composed component node -> its name and its options."""
     return node["name"], {k: v for k, v in node.items() if k != "name"}
+
+
+def resolve(registry: Registry, node: dict[str, Any], context: Any) -> dict[str, Any]:
+    """The node itself or, of a component that stands for others, the node of the one that it chooses for `context`
+    (bodies: a capture; captures: a folder)."""
+    name, options = split_node(node)
+    if not registry.traits(name, options).chooses:
+        return node
+    return registry[name].factory.choose(registry.options(name, options), context)

@@ -6,6 +6,9 @@ A component is a class (or function) with a typed dataclass of options; one deco
     class MlpDecoder(nn.Module):
         def __init__(self, config: MlpConfig, *, in_channels: int): ...
 
+What a component can, other code asks it instead of knowing its name: a registry has a dataclass of traits, each with
+its default, and a component gives its own where they differ.
+
 This module needs only the standard library, so that the player and the training half share it.
 """
 
@@ -27,12 +30,18 @@ class NoOptions:
 
 
 @dataclasses.dataclass(frozen=True)
+class NoTraits:
+    """The traits of components of which nothing is asked."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Component(Generic[T]):
     """What a registry knows of one component.
 
     name: key in the registry and in overrides. factory: the class or function. config: its dataclass of options.
     summary: one line for `gavatar-list`. origin: the module that registered it. needs: what must be installed or
-    supplied beyond the package ('' if nothing). missing: says why it cannot be had here, '' if it can.
+    supplied beyond the package ('' if nothing). missing: says why it cannot be had here, '' if it can. traits: from
+    its filled options to what it can with them.
     """
 
     name: str
@@ -42,17 +51,20 @@ class Component(Generic[T]):
     origin: str
     needs: str = ""
     missing: Callable[[], str] = str
+    traits: Callable[[Any], Any] = lambda options: NoTraits()
 
 
 class Registry(Generic[T]):
     """Components of one concept, by name.
 
-    group: the Hydra group and the word used in messages, singular (`decoder`).
+    group: the Hydra group and the word used in messages, singular (`decoder`). traits: the frozen dataclass of what its
+    components can, every field with its default.
     """
 
-    def __init__(self, group: str):
-        self.group = group
+    def __init__(self, group: str, traits: type = NoTraits):
+        self.group, self._traits = group, traits
         self._components: dict[str, Component[T]] = {}
+        self._default = ""
 
     def register(
         self,
@@ -62,10 +74,19 @@ class Registry(Generic[T]):
         summary: str = "",
         needs: str = "",
         missing: Callable[[], str] = str,
+        traits: Any = None,
+        default: bool = False,
     ) -> Callable[[Callable[..., T]], Callable[..., T]]:
-        """Register the decorated class or function as `name`; a duplicate replaces the former with a warning."""
+        """Register the decorated class or function as `name`; a duplicate replaces the former with a warning.
+
+        traits: what it can, where that differs from the registry's defaults, or a function from its filled options to
+        that. default: it is the one that is taken where none is asked for; a registry has one at most.
+        """
         if not dataclasses.is_dataclass(config):
             raise TypeError(f"{self.group} '{name}': config must be a dataclass, got {config!r}")
+        if default and self._default not in ("", name):
+            raise ValueError(f"{self.group} '{name}' cannot be the default: that is '{self._default}'")
+        can = self._as_function(name, traits)
 
         def decorate(factory: Callable[..., T]) -> Callable[..., T]:
             former = self._components.get(name)
@@ -75,11 +96,27 @@ class Registry(Generic[T]):
                 )
             doc = (factory.__doc__ or "").strip().splitlines()
             self._components[name] = Component(
-                name, factory, config, summary or (doc[0] if doc else ""), factory.__module__, needs, missing
+                name, factory, config, summary or (doc[0] if doc else ""), factory.__module__, needs, missing, can
             )
+            if default:
+                self._default = name
             return factory
 
         return decorate
+
+    def _as_function(self, name: str, traits: Any) -> Callable[[Any], Any]:
+        """The traits of `register` as a function of options."""
+        if callable(traits):
+            return traits
+        given = self._traits() if traits is None else traits
+        if not isinstance(given, self._traits):
+            raise TypeError(f"{self.group} '{name}': traits must be {self._traits.__name__}, got {traits!r}")
+        return lambda options: given
+
+    def forget(self, name: str) -> None:
+        """Take component `name` out again, if it is there."""
+        self._components.pop(name, None)
+        self._default = "" if name == self._default else self._default
 
     def __iter__(self) -> Iterator[Component[T]]:
         return iter(sorted(self._components.values(), key=lambda c: c.name))
@@ -89,6 +126,13 @@ class Registry(Generic[T]):
 
     def names(self) -> list[str]:
         return sorted(self._components)
+
+    @property
+    def default(self) -> str:
+        """The name of the component that is taken where none is asked for; UserError where there is no such one."""
+        if not self._default:
+            raise UserError(f"no {self.group} is the default: name one, {did_you_mean('', self._components)}")
+        return self._default
 
     def __getitem__(self, name: str) -> Component[T]:
         """The component called `name`; UserError with the choices and the nearest match if there is none."""
@@ -113,3 +157,7 @@ class Registry(Generic[T]):
     def build(self, name: str, values: Mapping[str, Any] | None = None, **context: Any) -> T:
         """Construct component `name` as `factory(options, **context)`."""
         return self[name].factory(self.options(name, values), **context)
+
+    def traits(self, name: str, values: Mapping[str, Any] | None = None) -> Any:
+        """What component `name` can with these options, an instance of the registry's dataclass of traits."""
+        return self[name].traits(self.options(name, values))
