@@ -18,9 +18,10 @@ from gavatar_runtime.values.surface import Surface
 from .attributes import encoder_inputs
 from .avatar.points import check_resolution, sample_surface
 from .avatar.trainable import Avatar, AvatarConfig
-from .body.skeleton import Body, Skeleton
+from .body.skeleton import Skeleton
 from .capture.capture import Capture
-from .registry import BODIES, DECODERS, ENCODERS, RASTERIZERS, split_node
+from .protocols import Body, Rasterizer
+from .registry import BODIES, DECODERS, ENCODERS, RASTERIZERS, resolve, split_node
 
 
 def choose_device(name: str) -> torch.device:
@@ -36,18 +37,17 @@ def choose_device(name: str) -> torch.device:
     return device
 
 
-def build_rasterizer(node: dict[str, Any], avatar: Avatar | None = None):
+def build_rasterizer(node: dict[str, Any], avatar: Avatar | None = None) -> Rasterizer:
     """The rasterizer of a composed node. avatar: what it is to draw, which then gives normals if it wants some."""
-    rasterizer = RASTERIZERS.build(*split_node(node))
+    rasterizer: Rasterizer = RASTERIZERS.build(*split_node(node))
     if avatar is not None:
-        avatar.with_normals = getattr(rasterizer, "wants_normals", False)
+        avatar.with_normals = rasterizer.wants_normals
     return rasterizer
 
 
 def resolve_body(node: dict[str, Any], capture: Capture) -> dict[str, Any]:
-    """The node of a body, `auto` replaced by the body that the capture's poses are of."""
-    name, options = split_node(node)
-    return BODIES[name].factory.choose(BODIES.options(name, options), capture) if name == "auto" else node
+    """The node of a body, one that chooses by the capture replaced by the one it chooses."""
+    return resolve(BODIES, node, capture)
 
 
 def build_body(node: dict[str, Any], capture: Capture) -> Body:

@@ -23,14 +23,13 @@ from gavatar_runtime.motions import MOTIONS
 from .optional import extra_of, install_command
 
 
-
 @dataclasses.dataclass(frozen=True)
 class BodyTraits:
     """chooses: it stands for others: its factory has `choose(options, capture)`, which gives the node of the body for a
-    capture. body_model: what a capture that was fitted to it says in this field, '' for the component's own name."""
+    capture. capture_name: what a capture calls it, as its `body_model`, '' for the component's own name."""
 
     chooses: bool = False
-    body_model: str = ""
+    capture_name: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,14 +51,13 @@ class DecoderTraits:
 @dataclasses.dataclass(frozen=True)
 class RasterizerTraits:
     """differentiable: gradients reach means, scales, colors, opacities, quaternions and background from color, alpha
-    and depth. devices: types of torch's devices whose tensors it draws. wants_normals: `Gaussians.normals` are of use.
-    widens: every splat gains the variance of the low-pass filter, so that a camera with finer pixels than training's
-    needs `gavatar_runtime.render.widening`. resolution: share of the image's sides that it draws at. played_with: those
-    of its options that a bundle keeps and is played with, since they change the picture."""
+    and depth. devices: types of torch's devices whose tensors it draws. widens: every splat gains the variance of the
+    low-pass filter, so that a camera with finer pixels than training's needs `gavatar_runtime.render.widening`.
+    resolution: share of the image's sides that it draws at. played_with: those of its options that a bundle keeps and
+    is played with, since they change the picture."""
 
     differentiable: bool = True
     devices: tuple[str, ...] = ("cpu", "cuda")
-    wants_normals: bool = False
     widens: bool = True
     resolution: float = 1.0
     played_with: dict[str, Any] = dataclasses.field(default_factory=dict)

@@ -38,8 +38,8 @@ from .values.surface import Surface
 FORMAT = "gavatar"
 FORMAT_VERSION = 1
 MANIFEST = "manifest.json"
-ALWAYS = ("surface.npz", "body.npz", "decoder.onnx")
-DYNAMIC = ("encoder.onnx",)
+SURFACE, BODY, DECODER, ENCODER = "surface.npz", "body.npz", "decoder.onnx", "encoder.onnx"
+ALWAYS, DYNAMIC = (SURFACE, BODY, DECODER), (ENCODER,)
 UNITS = {"length": "metres", "angle": "radians", "color": "sRGB in [0, 1]", "up": "y"}
 _MEMBER_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _ZIP_TIME = (1980, 1, 1, 0, 0, 0)  # the same bytes whenever the same avatar is written
@@ -157,7 +157,7 @@ class Bundle:
         What playing does not need is not stored: there `face` is -1, `barycentric` and `spacing` are NaN; so are the
         `normals` of a map whose encoder does not look at them, and of bundles written without them.
         """
-        arrays, source = self.arrays("surface.npz"), f"{self.path}: surface.npz"
+        arrays, source = self.arrays(SURFACE), f"{self.path}: {SURFACE}"
         gaussians = _unpack_surface(arrays, "gaussians_", source)
         encoder_map = _unpack_surface(arrays, "map_", source) if self.manifest.dynamic else None
         if len(gaussians) != self.manifest.gaussians:

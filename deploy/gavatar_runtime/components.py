@@ -53,6 +53,13 @@ class Component(Generic[T]):
     missing: Callable[[], str] = str
     traits: Callable[[Any], Any] = lambda options: NoTraits()
 
+    @property
+    def default_traits(self) -> Any | None:
+        """What it can with the defaults of its options, None where some have no default."""
+        fields = dataclasses.fields(self.config)
+        owed = any(field.default is field.default_factory is dataclasses.MISSING for field in fields)
+        return None if owed else self.traits(self.config())
+
 
 class Registry(Generic[T]):
     """Components of one concept, by name.
@@ -126,6 +133,15 @@ class Registry(Generic[T]):
 
     def names(self) -> list[str]:
         return sorted(self._components)
+
+    def having(self, **wanted: Any) -> list[str]:
+        """Names of the components that have these traits with the defaults of their options."""
+        found = []
+        for component in self:
+            traits = component.default_traits
+            if traits is not None and all(getattr(traits, key) == value for key, value in wanted.items()):
+                found.append(component.name)
+        return found
 
     @property
     def default(self) -> str:

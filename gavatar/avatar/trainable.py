@@ -5,6 +5,7 @@ G(beta, theta, D, P) = Splatting(LBS(D, J(beta), theta, w), P),   D = T(beta) + 
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 
 import numpy as np
@@ -99,6 +100,14 @@ class Avatar(nn.Module):
         self._sample = Sampler(surface.uv)
         if self.config.pose_blendshapes:
             self._register_pose_blendshapes(surface)
+
+    def sampled(self, surface: Surface) -> Avatar:
+        """The same avatar on the points of another surface. It shares every parameter; this one stays as it is."""
+        twin = copy.copy(self)
+        for name in ("_parameters", "_buffers", "_modules", "_non_persistent_buffers_set"):
+            setattr(twin, name, copy.copy(getattr(self, name)))
+        twin.sample_at(surface)
+        return twin
 
     def attributes(self, pose_features: Tensor | None = None) -> Attributes:
         """Decode every point. pose_features: (B, C, M, M) or None -> Attributes with leading B (1 when None)."""

@@ -1,4 +1,4 @@
-"""Bodies in training: the protocol a body component fulfils, and its kinematics in torch.
+"""Kinematics of bodies in torch.
 
 The numbers live in `gavatar_runtime.values.body.BodyData`; NumPy kinematics in `gavatar_runtime.geometry.kinematics`
 are the tested reference of the functions here.
@@ -7,7 +7,6 @@ are the tested reference of the functions here.
 from __future__ import annotations
 
 import functools
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -17,17 +16,7 @@ from gavatar_runtime.values.body import SMPL_BODY_JOINTS, BodyData
 
 from .torch_rotations import matrix_from_axis_angle
 
-__all__ = ["SMPL_BODY_JOINTS", "Body", "BodyData", "PosedBody", "Skeleton", "joint_transforms"]
-
-
-class Body(Protocol):
-    """A component of the `body` registry: where a body's numbers come from.
-
-    capture_name, an attribute that it may have: what captures call it, where that is not its name in the registry.
-    """
-
-    data: BodyData
-    license: str
+__all__ = ["SMPL_BODY_JOINTS", "BodyData", "PosedBody", "Skeleton", "joint_transforms"]
 
 
 def joint_transforms(rotations: Tensor, joints: Tensor, parents: list[int]) -> tuple[Tensor, Tensor]:

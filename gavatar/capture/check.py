@@ -7,9 +7,8 @@ from pathlib import Path
 
 from gavatar_runtime.errors import Faults, UserError
 
-from ..registry import CAPTURES, split_node
+from ..registry import CAPTURES, resolve, split_node
 from .capture import Capture, View
-from .opening import capture_format
 
 
 @dataclasses.dataclass
@@ -45,8 +44,7 @@ def check_capture(path: Path, node: dict | None = None) -> CaptureCheck:
     more than 20 faults of one kind the rest are counted. Raises UserError only when the folder is of no known layout.
     """
     path = Path(path)
-    name, options = split_node(node or {"name": "auto"})
-    name = name if name != "auto" else capture_format(path)
+    name, options = split_node(resolve(CAPTURES, node or {"name": CAPTURES.default}, path))
     faults, capture = Faults(collect=True), None
     capture = faults.of(CAPTURES.build(name, options).read, path, faults)
     if capture is not None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from gavatar_runtime.errors import UserError
 
-from ..registry import CAPTURES, split_node
+from ..registry import CAPTURES, resolve, split_node
 from .capture import Capture
 
 
@@ -15,8 +15,8 @@ def open_capture(path: str | Path, node: dict[str, Any] | None = None) -> Captur
     """Open the capture at `path` with the reader of `node`, by default the first that recognises the folder.
     Raises UserError when the folder is missing, of no known layout, or malformed."""
     path = Path(path)
-    name, options = split_node(node or {"name": "auto"})
-    return CAPTURES.build(name if name != "auto" else capture_format(path), options).read(path)
+    name, options = split_node(resolve(CAPTURES, node or {"name": CAPTURES.default}, path))
+    return CAPTURES.build(name, options).read(path)
 
 
 def capture_format(path: Path) -> str:
@@ -24,7 +24,7 @@ def capture_format(path: Path) -> str:
     if not path.is_dir():
         raise UserError(f"capture {path} is not a directory")
     for component in CAPTURES:
-        if component.name != "auto" and component.factory.recognises(path):
+        if component.factory.recognises(path):
             return component.name
-    known = "; ".join(f"{c.name}: {getattr(c.factory, 'signs', c.summary)}" for c in CAPTURES if c.name != "auto")
+    known = "; ".join(f"{c.name}: {c.factory.signs}" for c in CAPTURES if c.factory.signs)
     raise UserError(f"{path} is not a capture: none of the known layouts fits ({known})")

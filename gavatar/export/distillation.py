@@ -19,7 +19,8 @@ from gavatar_runtime.values.body import SMPL_BODY_JOINTS
 from gavatar_runtime.values.surface import Surface
 
 from ..attributes import encoder_inputs
-from .tier_source import TierSource, joint_of_points, upsampling
+from ..protocols import TierSource
+from .tier_source import joint_of_points, upsampling
 
 LENGTH_WEIGHT = 20.0  # per metre: 5 mm, about a pixel of a person 400 pixels tall, count as a tenth of the colour range
 PROTOTYPES = 128  # of the capture's poses, that the distance of another is taken from
@@ -33,7 +34,7 @@ KEPT = 1e-4  # bases with a smaller share of their part's variance are left out
 def distil(
     source: TierSource, *, rank: int, uv: int, samples: int, wide: int, width: int, steps: int
 ) -> dict[str, np.ndarray]:
-    """The arrays of blendshape.npz (see `gavatar_runtime.tiers.blendshape.Blendshape`).
+    """The arrays of blendshape.npz (`gavatar_runtime.tiers.members.BLENDSHAPE`).
 
     Residuals against the still look are decoded on a surface of side `uv` for the capture's poses and `samples` more,
     reduced by PCA within each body part to `rank` bases (a multiple of four), which are upsampled onto the
@@ -41,7 +42,7 @@ def distil(
     what weights of these come closest to the full model there, where else it would guess.
     """
     rank = -(-rank // 4) * 4
-    coarse = source.run.built.surface(min(uv, source.surface.resolution))
+    coarse = source.surface_at(min(uv, source.surface.resolution))
     real, poses = len(source.train_poses), np.concatenate([source.train_poses, source.random_poses(samples)])
     weight = np.array([LENGTH_WEIGHT] * 3 + [1.0] * 3 + [LENGTH_WEIGHT], np.float32)
     mean = source.mean(coarse)
@@ -56,7 +57,7 @@ def distil(
     # numbered on the coarse surface, which is the whole body: the fine one may lack parts that no camera saw
     joint, fine_joint = joint_of_points(coarse), joint_of_points(source.surface)
     owners, part = np.unique(joint, return_inverse=True)
-    coefficients, bases = _bases(residuals, part, rank)
+    coefficients, bases = bases_by_part(residuals, part, rank)
     del residuals
 
     def projected(residual: np.ndarray) -> np.ndarray:
@@ -68,7 +69,7 @@ def distil(
     flat = [projected(residual) for residual in decoded(further, "distilling far poses")]
     flat = np.concatenate([coefficients, np.reshape(flat, (len(further), -1)).astype(np.float32)])
     # the root's rotation matters where the look depends on where the person faces
-    facing = "normal_map" in encoder_inputs(source.run.avatar.encoder)
+    facing = "normal_map" in encoder_inputs(source.avatar.encoder)
     body = _Body(np.asarray(coarse.parents), owners, np.arange(0 if facing else 1, SMPL_BODY_JOINTS))
     arrays = _fit(np.concatenate([poses, further]), flat, real, body, facing, width, steps, source.progress)
     fine_part, index, mixing = _mixing(coarse, source.surface, joint, fine_joint, owners)
@@ -107,7 +108,7 @@ class _Body:
         return (self.joints == own) | (self.joints == self.parents[own]) | (self.parents[self.joints] == own)
 
 
-def _bases(residuals: np.ndarray, part: np.ndarray, rank: int) -> tuple[np.ndarray, np.ndarray]:
+def bases_by_part(residuals: np.ndarray, part: np.ndarray, rank: int) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (S, P x rank) and bases (M, rank, 7) of residuals (S, M, 7), by part (M,)."""
     poses, count = len(residuals), int(part.max()) + 1
     coefficients = np.zeros((poses, count, rank), np.float32)
@@ -149,7 +150,7 @@ def _fit(
     }
     if facing:
         turned = turn_input(poses, body.owners, body.parents)
-        direct, turn = _fit_turns(inputs, turned, flat, real, body.near)
+        direct, turn = fit_turns(inputs, turned, flat, real, body.near)
         arrays |= {"owners": body.owners.astype(np.uint8), "direct": direct, "turn": turn}
         flat = flat - inputs @ direct - np.einsum("spf,pfk->spk", turned, turn).reshape(flat.shape)
     for i, (w, b) in enumerate(_fit_network(inputs, flat, real, width, steps, progress)):
@@ -157,7 +158,9 @@ def _fit(
     return arrays
 
 
-def _fit_turns(inputs: np.ndarray, turned: np.ndarray, flat: np.ndarray, real: int, near: np.ndarray):
+def fit_turns(
+    inputs: np.ndarray, turned: np.ndarray, flat: np.ndarray, real: int, near: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """direct (D, P x K) and turn (P, 55, K) by ridge regression, part by part on the inputs (S, D) of its near joints
     and its own of `turned` (S, P, 55). The first `real` samples count four times."""
     samples, parts = turned.shape[:2]

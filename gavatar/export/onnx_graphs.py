@@ -6,6 +6,7 @@ from __future__ import annotations
 import copy
 import io
 import warnings
+from collections.abc import Mapping
 
 import numpy as np
 import onnx
@@ -15,7 +16,8 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from gavatar_runtime.decoding.network import CHUNK, ROWS
-from gavatar_runtime.values.body import SMPL_BODY_JOINTS
+from gavatar_runtime.decoding.pose_inputs import input_shape
+from gavatar_runtime.tiers.members import OUTPUTS, POSE_FEATURES
 from gavatar_runtime.values.surface import Surface
 
 from ..attributes import encoder_inputs
@@ -23,7 +25,6 @@ from ..avatar.trainable import Avatar
 from ..avatar.uv_sampling import bilinear, sample_uv
 
 OPSET = 18
-OUTPUTS = ("offsets", "colors", "scales")
 
 
 def fold_batchnorm(module: nn.Module) -> nn.Module:
@@ -126,14 +127,12 @@ def encoder_model(avatar: Avatar, *, shuffle: bool = False) -> onnx.ModelProto:
     """The encoder's inputs of one pose, by name -> pose_features (1, C, M, M). shuffle: `subpixel` convolutions, which
     are slower in float32 (28 ms against 18) and what 8-bit arithmetic needs: ONNX Runtime has no ConvTranspose in it.
     """
-    size = avatar.encoder.map_size
     names = encoder_inputs(avatar.encoder)
-    shapes = {"joint_rotations": (1, SMPL_BODY_JOINTS, 3, 3)}
-    example = tuple(torch.zeros(shapes.get(name, (1, 3, size, size))) for name in names)
+    example = tuple(torch.zeros(1, *input_shape(name, avatar.encoder.map_size)) for name in names)
     encoder = fold_batchnorm(avatar.encoder)
     if shuffle:
         encoder = subpixel(encoder)
-    return to_onnx(encoder, example, list(names), ["pose_features"])
+    return to_onnx(encoder, example, list(names), [POSE_FEATURES])
 
 
 def decoder_model(avatar: Avatar, surface: Surface | None = None, quantize=None) -> onnx.ModelProto:
@@ -148,7 +147,7 @@ def decoder_model(avatar: Avatar, surface: Surface | None = None, quantize=None)
     surface = surface or avatar.surface
     if avatar.encoder is None:
         with torch.no_grad():
-            attributes = attributes_at(avatar, surface)
+            attributes = avatar.sampled(surface).attributes()
         return constant_model({name: getattr(attributes, name)[0].numpy() for name in OUTPUTS})
     size, channels = avatar.encoder.map_size, avatar.config.features
     chunk = min(CHUNK, len(surface))
@@ -167,17 +166,6 @@ def decoder_model(avatar: Avatar, surface: Surface | None = None, quantize=None)
         rows = quantize(rows, chunked, features.numpy() if add_first else None)
     constants = {"features": features.numpy()} if add_first else {}
     return _scan_model(rows, scanned, constants, (1, channels, size, size), chunk)
-
-
-def attributes_at(avatar: Avatar, surface: Surface, pose_features: Tensor | None = None):
-    """The avatar decoded on the points of another sampling of its surface."""
-    former = avatar.surface
-    try:
-        avatar.sample_at(surface)
-        return avatar.attributes(pose_features)
-    finally:
-        if former is not None:
-            avatar.sample_at(former)
 
 
 def _padded(array: np.ndarray, chunk: int) -> np.ndarray:
@@ -206,7 +194,7 @@ def _scan_model(rows: onnx.ModelProto, scanned: dict, constants: dict, shape: tu
         return output
 
     constant(ROWS, np.arange(count, dtype=np.int32))
-    total = "pose_features"
+    total = POSE_FEATURES
     if "features" in constants:
         total = node("Add", [total, constant("features", constants["features"])], "all_features")
     flat = node("Reshape", [total, constant("map_shape", np.array([shape[1], -1], np.int64))], "channels_first")
@@ -232,7 +220,7 @@ def _scan_model(rows: onnx.ModelProto, scanned: dict, constants: dict, shape: tu
         node("Slice", [joined, "first", wanted, "axis"], name)
         outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, ("gaussians", *tail)))
     inputs = [
-        helper.make_tensor_value_info("pose_features", TensorProto.FLOAT, shape),
+        helper.make_tensor_value_info(POSE_FEATURES, TensorProto.FLOAT, shape),
         helper.make_tensor_value_info(ROWS, TensorProto.INT32, ("gaussians",)),
     ]
     graph = helper.make_graph(nodes, "decoder", inputs, outputs, initializers)
@@ -249,3 +237,10 @@ def constant_model(values: dict[str, np.ndarray]) -> onnx.ModelProto:
         outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, value.shape))
     graph = helper.make_graph(nodes, "static_avatar", [], outputs, initializers)
     return helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=9)
+
+
+def with_metadata(model: onnx.ModelProto, properties: Mapping[str, str]) -> bytes:
+    """The checked model's bytes, with what a stranger needs to know in its metadata_props."""
+    helper.set_model_props(model, dict(properties))
+    onnx.checker.check_model(model)
+    return model.SerializeToString()

@@ -17,6 +17,8 @@ from ..assemble import build_rasterizer
 from ..capture.capture import View
 from ..images.image_quality import mean_psnr, psnr
 from ..images.pixel_weights import pixel_weights
+from ..protocols import Rasterizer
+from ..registry import RASTERIZERS, split_node
 from ..training.posing import posed
 from ..training.run import Run
 
@@ -27,10 +29,12 @@ COMPARED = 12  # views that the picture is compared on
 WHITE = (1.0, 1.0, 1.0)
 
 
-def _rasterizer(run: Run):
-    """That of training, with the normals it asks for; on the CPU, where an opened run is, also after one on a GPU."""
+def _rasterizer(run: Run) -> Rasterizer:
+    """That of training, with the normals it asks for, or the default one where it does not draw on the CPU, where an
+    opened run is."""
     node = run.config.rasterizer
-    return build_rasterizer({"name": "auto"} if node["name"] == "gsplat" else node, run.avatar)
+    draws = "cpu" in RASTERIZERS.traits(*split_node(node)).devices
+    return build_rasterizer(node if draws else {"name": RASTERIZERS.default}, run.avatar)
 
 
 def seen(run: Run, margin: float = MARGIN, progress: bool = False) -> np.ndarray:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Mapping
 
 import numpy as np
 import onnx
@@ -15,10 +14,12 @@ from gavatar_runtime.geometry.spacing import evenly_spaced
 from gavatar_runtime.values.body import SMPL_BODY_JOINTS
 from gavatar_runtime.values.surface import Surface
 
+from ..avatar.trainable import Avatar
 from ..avatar.uv_sampling import bilinear
+from ..protocols import TierSource
 from ..training.posing import pose_features
 from ..training.run import Run
-from .onnx_graphs import attributes_at
+from .onnx_graphs import with_metadata
 
 MEAN_POSES = 24  # over which the still look is averaged: more moved it by less than an 8-bit step
 
@@ -38,59 +39,59 @@ RANGE = {  # radians by joint of the SMPL family, axis-angle from the T-pose
 }  # fmt: skip
 
 
-class TierBuilder(Protocol):
-    """needs: names of tiers whose members this one also reads."""
-
-    needs: tuple[str, ...]
-
-    def build(self, source: TierSource) -> dict[str, bytes]:
-        """The tier's own members by file name."""
-
-
 @dataclasses.dataclass
-class TierSource:
-    """A trained run with dynamics, as builders see it.
-
-    surface: where the Gaussians of the bundle sit. finish: a model -> its bytes, with metadata. progress: shows bars.
-    """
+class AvatarSource(TierSource):
+    """A trained run with dynamics as a `TierSource`. run: whose avatar stands on the points of the bundle. metadata: of
+    the networks that are made of it. progress: shows bars."""
 
     run: Run
-    surface: Surface
-    finish: Callable[[onnx.ModelProto], bytes]
+    metadata: Mapping[str, str] = dataclasses.field(default_factory=dict)
     progress: bool = True
+    _placed: Avatar | None = dataclasses.field(default=None, init=False, repr=False)  # where it was decoded last
+
+    @property
+    def avatar(self) -> Avatar:
+        return self.run.avatar
+
+    @property
+    def surface(self) -> Surface:
+        return self.run.avatar.surface
+
+    def surface_at(self, uv: int) -> Surface:
+        return self.run.built.surface(uv)
 
     @functools.cached_property
     def train_poses(self) -> np.ndarray:
-        """(F, J, 3) refined poses of the training frames."""
         frames = sorted({view.frame for view in self.run.capture.views(self.run.config.train_split)})
         return self.run.motion.motion().poses[frames].astype(np.float32)
 
     @property
     def mean_poses(self) -> np.ndarray:
-        """The poses that the still look is the mean of."""
         poses = self.train_poses
         return poses[evenly_spaced(len(poses), MEAN_POSES)]
 
+    def finish(self, model: onnx.ModelProto) -> bytes:
+        return with_metadata(model, self.metadata)
+
     def features(self, poses: np.ndarray) -> torch.Tensor:
-        """(B, C, M, M) pose features."""
-        return pose_features(self.run.avatar, self.run.built, poses)
+        return pose_features(self.avatar, self.run.built, poses)
 
     @torch.no_grad()
     def decode(self, pose: np.ndarray, surface: Surface) -> np.ndarray:
-        """(N, 7) float32 offset, colour and scale of one pose (J, 3) on the points of `surface`."""
-        out = attributes_at(self.run.avatar, surface, self.features(pose[None]))
+        if self._placed is None or self._placed.surface is not surface:
+            self._placed = self.avatar.sampled(surface)
+        out = self._placed.attributes(self.features(pose[None]))
         return torch.cat([out.offsets[0], out.colors[0], out.scales[0][:, None]], -1).numpy()
 
     def mean(self, surface: Surface) -> np.ndarray:
-        """(N, 7) mean of `decode` over `mean_poses`."""
         total = np.zeros((len(surface), 7))
         for pose in self.mean_poses:
             total += self.decode(pose, surface)
         return (total / len(self.mean_poses)).astype(np.float32)
 
     def random_poses(self, count: int, seed: int = 0) -> np.ndarray:
-        """(count, J, 3) plausible poses beyond the capture's: each body part's joints from a training frame of their
-        own, and on half of them 0.15 rad of noise, so that parts are seen in combinations that were not filmed."""
+        """See `TierSource`: each body part's joints from a training frame of their own, and on half of them 0.15 rad of
+        noise, so that parts are seen in combinations that were not filmed."""
         rng = np.random.default_rng(seed)
         poses = self.train_poses
         limb = limb_of_joints(self.run.built.body.data.parents)
@@ -101,8 +102,7 @@ class TierSource:
         return mixed.astype(np.float32)
 
     def wide_poses(self, count: int, seed: int = 0) -> np.ndarray:
-        """(count, J, 3) poses over a body's range of motion, filmed or not: each limb either bent anywhere within it
-        (`RANGE`) or as `random_poses` has it."""
+        """See `TierSource`: each limb either bent anywhere within `RANGE` or as `random_poses` has it."""
         rng = np.random.default_rng((seed, 1))  # what is bent is drawn apart from what it is bent from
         parents = self.run.built.body.data.parents
         limb, poses = limb_of_joints(parents), self.random_poses(count, seed + 1000)  # not those of the bases again

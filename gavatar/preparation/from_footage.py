@@ -84,7 +84,7 @@ def prepare(
             raise UserError("--fov is for an unknown camera, but cameras.json calibrates it: leave one of them out")
         facts = CaptureFacts(
             name=name or out.resolve().name, license=license, source=f"gavatar-prepare {source.name}",
-            body_model=getattr(model, "capture_name", fitted), gender=options.get("gender", "neutral"),
+            body_model=BODIES.traits(fitted, options).capture_name or fitted, gender=options.get("gender", "neutral"),
             holdout_camera=holdout_camera,
         )  # fmt: skip
         quality = fit_and_write(

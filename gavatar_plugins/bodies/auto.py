@@ -7,7 +7,7 @@ import warnings
 from typing import Any
 
 from gavatar.body.official_files import FAMILIES, find_model
-from gavatar.registry import BODIES
+from gavatar.registry import BODIES, BodyTraits
 from gavatar_runtime.errors import UserError, did_you_mean
 
 # Captures made on the free body before it had a name of its own call it by its skeleton, which is SMPL-H's.
@@ -24,11 +24,15 @@ class AutoBodyConfig:
     hands: str = "flat"
 
 
-@BODIES.register("auto", config=AutoBodyConfig, summary="what the capture's poses are of: free, smpl, smplh or smplx")
+@BODIES.register(
+    "auto",
+    config=AutoBodyConfig,
+    summary="what the capture's poses are of: free, smpl, smplh or smplx",
+    traits=BodyTraits(chooses=True, capture_name="free"),
+    default=True,
+)
 class AutoBody:
     """Without a capture, the free body. data, license: its own."""
-
-    capture_name = "free"
 
     def __init__(self, config: AutoBodyConfig):
         if config.path or config.gender:

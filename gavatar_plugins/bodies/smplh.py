@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from gavatar.body.official_files import official_body
-from gavatar.registry import BODIES
+from gavatar.registry import BODIES, BodyTraits
 
 
 @dataclasses.dataclass
@@ -26,11 +26,12 @@ class SmplhConfig:
     config=SmplhConfig,
     summary="SMPL-H: 52 joints with fingers, pose blendshapes",
     needs="the SMPL-H model and smpl_uv.obj, downloaded by you (docs/reference/bodies.md)",
+    traits=BodyTraits(
+        capture_name="smplh-official"
+    ),  # captures made before the free body had a name say "smplh" for it
 )
 class Smplh:
     """data: the numbers of the model. license: of its files."""
-
-    capture_name = "smplh-official"  # `smplh` is what captures called the free body before it had a name
 
     def __init__(self, config: SmplhConfig):
         self.config = config

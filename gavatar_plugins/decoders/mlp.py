@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from gavatar.attributes import Attributes
-from gavatar.registry import DECODERS
+from gavatar.registry import DECODERS, DecoderTraits
 from gavatar_runtime.errors import UserError
 
 
@@ -33,7 +33,18 @@ class MlpConfig:
     anisotropic: bool = False
 
 
-@DECODERS.register("mlp", config=MlpConfig, summary="8 layers with a skip and three 2-layer heads, ReLU (paper)")
+def _traits(config: MlpConfig) -> DecoderTraits:
+    if not config.anisotropic:
+        return DecoderTraits()
+    return DecoderTraits(
+        not_exported="its Gaussians are anisotropic (decoder.anisotropic=true), which the player does not draw; train "
+        "it without that option to export it"
+    )
+
+
+@DECODERS.register(
+    "mlp", config=MlpConfig, summary="8 layers with a skip and three 2-layer heads, ReLU (paper)", traits=_traits
+)
 class MlpDecoder(nn.Module):
     """ReLU multilayer perceptron. Offsets are `offset_limit * tanh`, colours a sigmoid, scales a sigmoid between
     `scale_floor` and `scale_limit` times the spacing: bounded by construction, so that no pose can make the avatar

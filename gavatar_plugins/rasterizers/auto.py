@@ -6,6 +6,7 @@ import logging
 
 import torch
 
+from gavatar.protocols import Rasterizer
 from gavatar.registry import RASTERIZERS, NoOptions
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.values.camera import Camera
@@ -18,13 +19,13 @@ BY_DEVICE = {"cpu": ("native",), "cuda": ("gsplat",)}
 
 
 @RASTERIZERS.register(
-    "auto", summary="the best for the tensors: native on the CPU, gsplat on CUDA, torch where these are not to be had"
+    "auto",
+    summary="the best for the tensors: native on the CPU, gsplat on CUDA, torch where these are not to be had",
+    default=True,
 )
-class AutoRasterizer:
+class AutoRasterizer(Rasterizer):
     """Chooses at each call by device and dtype and logs a choice when it is first made. Options of the chosen one are
     its defaults; name it to set them."""
-
-    differentiable = True
 
     def __init__(self, config: NoOptions | None = None):
         self._chosen: dict[tuple[str, ...], object] = {}

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from gavatar.optional import import_from_extra
-from gavatar.registry import RASTERIZERS
+from gavatar.protocols import Rasterizer
+from gavatar.registry import RASTERIZERS, RasterizerTraits
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.render.rasterizers.rules import LOW_PASS, NEAR
 from gavatar_runtime.values.camera import Camera
@@ -51,8 +52,9 @@ def _missing() -> str:
     summary="differentiable, compiled for CUDA by the gsplat package",
     needs="pip install 'gavatar[gpu]', a CUDA device and, at first use, nvcc",
     missing=_missing,
+    traits=RasterizerTraits(devices=("cuda",)),
 )
-class GsplatRasterizer:
+class GsplatRasterizer(Rasterizer):
     """Splatting of float32 CUDA tensors, with gradients to every field and to the background.
 
     `rasterizer(gaussians, camera, background) -> Rendering`, as `gavatar_runtime.render.rasterizers.rules` says, but
@@ -69,8 +71,6 @@ class GsplatRasterizer:
     Raises UserError without gsplat, without a CUDA device, where the kernels do not compile, and for tensors that are
     not float32 on CUDA.
     """
-
-    differentiable = True
 
     def __init__(self, config: GsplatRasterizerConfig | None = None):
         self.config = config or GsplatRasterizerConfig()

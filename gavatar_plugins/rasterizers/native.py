@@ -9,9 +9,11 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from gavatar.registry import RASTERIZERS
+from gavatar.protocols import Rasterizer
+from gavatar.registry import RASTERIZERS, RasterizerTraits
 from gavatar_runtime import native_library as nl
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.render.rasterizers import SWITCHES
 from gavatar_runtime.render.rasterizers.native_options import NativeOptions
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.gaussians import Gaussians, Rendering
@@ -25,14 +27,24 @@ class NativeRasterizerConfig(NativeOptions):
     played with them (`rasterizers.SWITCHES`), all but `threads` and `resolution`."""
 
 
+def _traits(config: NativeRasterizerConfig) -> RasterizerTraits:
+    return RasterizerTraits(
+        devices=("cpu",),
+        widens=not config.antialiased,
+        resolution=config.resolution,
+        played_with={name: getattr(config, name) for name in SWITCHES if getattr(config, name)},
+    )
+
+
 @RASTERIZERS.register(
     "native",
     config=NativeRasterizerConfig,
     summary="exact, differentiable, compiled for the CPU",
     needs="a C++ compiler at install, or the wheel",
     missing=lambda: nl.available()[1],
+    traits=_traits,
 )
-class NativeRasterizer:
+class NativeRasterizer(Rasterizer):
     """Exact splatting of float32 CPU tensors, with gradients to every field and to the background.
 
     `rasterizer(gaussians, camera, background) -> Rendering`, following `gavatar_runtime.render.rasterizers.rules`.
@@ -40,8 +52,6 @@ class NativeRasterizer:
     gradients are the same to the last bit whatever the number of threads. Raises UserError for float64 or CUDA
     tensors, which rasterizer=torch takes, and where the kernel was not compiled.
     """
-
-    differentiable = True
 
     def __init__(self, config: NativeRasterizerConfig | None = None):
         self.config = config or NativeRasterizerConfig()

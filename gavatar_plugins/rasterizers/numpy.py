@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from gavatar.registry import RASTERIZERS, NoOptions
+from gavatar.protocols import Rasterizer
+from gavatar.registry import RASTERIZERS, NoOptions, RasterizerTraits
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.render.rasterizers.numpy import render
 from gavatar_runtime.values.camera import Camera
@@ -13,11 +14,13 @@ from gavatar_runtime.values.gaussians import Gaussians, Rendering
 from .torch_projection import check_dtype
 
 
-@RASTERIZERS.register("numpy", summary="the player's NumPy reference, forward only (for evaluation)")
-class NumpyTensors:
+@RASTERIZERS.register(
+    "numpy",
+    summary="the player's NumPy reference, forward only (for evaluation)",
+    traits=RasterizerTraits(differentiable=False, devices=("cpu",)),
+)
+class NumpyTensors(Rasterizer):
     """Adapts the player's reference to CPU tensors. Raises UserError where a gradient would be needed."""
-
-    differentiable = False
 
     def __init__(self, config: NoOptions | None = None):
         self.config = config

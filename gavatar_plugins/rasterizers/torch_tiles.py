@@ -27,6 +27,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from gavatar.protocols import Rasterizer
 from gavatar.registry import RASTERIZERS
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.render.rasterizers.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_STOP
@@ -57,17 +58,8 @@ class TorchRasterizerConfig:
 
 
 @RASTERIZERS.register("torch", config=TorchRasterizerConfig, summary="exact, differentiable, plain torch on any device")
-class TorchRasterizer:
-    """Exact splatting with torch tensors.
-
-    Contract of every rasterizer in the registry: `rasterizer(gaussians, camera, background) -> Rendering`, where the
-    Gaussians' fields are torch tensors of one floating dtype and device, background is three numbers or a (3,) tensor,
-    and the Rendering follows `rasterizers.rules` with tensors of the same dtype and device. `differentiable` says
-    whether gradients reach means, scales, colors, opacities, quaternions and background from color, alpha and depth.
-    Raises UserError for what it cannot do.
-    """
-
-    differentiable = True
+class TorchRasterizer(Rasterizer):
+    """Exact splatting with torch tensors, of float32 or float64 on any device."""
 
     def __init__(self, config: TorchRasterizerConfig):
         self.config = config

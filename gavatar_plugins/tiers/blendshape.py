@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 
 from gavatar.export.distillation import distil
-from gavatar.export.tier_source import TierSource
+from gavatar.protocols import TierBuilder, TierSource
 from gavatar.registry import TIERS
-from gavatar_runtime.bundle import pack_arrays
+from gavatar_runtime.tiers.members import BLENDSHAPE
 
 
 @dataclasses.dataclass
@@ -25,8 +25,8 @@ class BlendshapeOptions:
 
 
 @TIERS.register("blendshape", config=BlendshapeOptions, summary="pose residuals as linear bases by body part")
-class BlendshapeBuilder:
-    """blendshape.npz, see `gavatar_runtime.tiers.blendshape`."""
+class BlendshapeBuilder(TierBuilder):
+    """blendshape.npz, as `gavatar.export.distillation` makes it."""
 
     needs = ("baked",)
 
@@ -34,4 +34,4 @@ class BlendshapeBuilder:
         self.options = options
 
     def build(self, source: TierSource) -> dict[str, bytes]:
-        return {"blendshape.npz": pack_arrays(distil(source, **dataclasses.asdict(self.options)))}
+        return {BLENDSHAPE.file: BLENDSHAPE.pack(distil(source, **dataclasses.asdict(self.options)))}

@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 
 from gavatar.export.onnx_graphs import decoder_model
-from gavatar.export.tier_source import TierSource, upsampling
+from gavatar.export.tier_source import upsampling
+from gavatar.protocols import TierBuilder, TierSource
 from gavatar.registry import TIERS
-from gavatar_runtime.bundle import pack_arrays
+from gavatar_runtime.tiers.members import COARSE, DECODER_COARSE
 
 
 @dataclasses.dataclass
@@ -20,7 +21,7 @@ class CoarseOptions:
 
 
 @TIERS.register("coarse", config=CoarseOptions, summary="pose residuals decoded on few points and upsampled")
-class CoarseBuilder:
+class CoarseBuilder(TierBuilder):
     """decoder_coarse.onnx on the coarse points, and coarse.npz to upsample by."""
 
     needs = ("baked",)
@@ -29,7 +30,7 @@ class CoarseBuilder:
         self.options = options
 
     def build(self, source: TierSource) -> dict[str, bytes]:
-        coarse = source.run.built.surface(self.options.uv)
+        coarse = source.surface_at(self.options.uv)
         index, weight = upsampling(coarse, source.surface)
         ratio = np.median(source.surface.spacing) / np.median(coarse.spacing)
         arrays = {
@@ -38,5 +39,5 @@ class CoarseBuilder:
             "base": source.mean(coarse),
             "ratio": np.float32(ratio),
         }
-        model = source.finish(decoder_model(source.run.avatar, coarse))
-        return {"decoder_coarse.onnx": model, "coarse.npz": pack_arrays(arrays)}
+        model = source.finish(decoder_model(source.avatar, coarse))
+        return {DECODER_COARSE: model, COARSE.file: COARSE.pack(arrays)}

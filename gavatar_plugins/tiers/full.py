@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from gavatar.export.tier_source import TierSource
+from gavatar.protocols import TierBuilder, TierSource
 from gavatar.registry import TIERS, NoOptions
 
 
-@TIERS.register("full", summary="the networks as trained, float32")
-class FullBuilder:
+@TIERS.register("full", summary="the networks as trained, float32", default=True)
+class FullBuilder(TierBuilder):
     """Nothing beyond the bundle's own members."""
 
     needs = ()

@@ -10,10 +10,11 @@ import onnx
 from gavatar.attributes import encoder_inputs
 from gavatar.export.onnx_graphs import decoder_model, encoder_model
 from gavatar.export.quantization import quantized
-from gavatar.export.tier_source import TierSource
+from gavatar.protocols import TierBuilder, TierSource
 from gavatar.registry import TIERS
 from gavatar_runtime.decoding.pose_inputs import pose_inputs
 from gavatar_runtime.geometry.spacing import evenly_spaced
+from gavatar_runtime.tiers.members import DECODER_INT8, ENCODER_INT8
 
 
 @dataclasses.dataclass
@@ -25,7 +26,7 @@ class Int8Options:
 
 
 @TIERS.register("int8", config=Int8Options, summary="the decoder in 8-bit arithmetic")
-class Int8Builder:
+class Int8Builder(TierBuilder):
     """decoder_int8.onnx and encoder_int8.onnx. The encoder stays in float32 unless asked for: it is a thirtieth of the
     time at 200,000 Gaussians, and its error is added to every point's."""
 
@@ -35,7 +36,7 @@ class Int8Builder:
         self.options = options
 
     def build(self, source: TierSource) -> dict[str, bytes]:
-        avatar, count = source.run.avatar, self.options.poses
+        avatar, count = source.avatar, self.options.poses
         chosen = source.train_poses[evenly_spaced(len(source.train_poses), count)]
         poses = np.concatenate([chosen, source.random_poses(count)])
 
@@ -52,8 +53,8 @@ class Int8Builder:
         encoder = encoder_model(avatar, shuffle=self.options.encoder)
         if self.options.encoder:
             names = encoder_inputs(avatar.encoder)
-            inputs = pose_inputs(source.run.built.surface(avatar.encoder.map_size), poses, names)
+            inputs = pose_inputs(source.surface_at(avatar.encoder.map_size), poses, names)
             rows = ({n: x[i : i + 1] for n, x in zip(names, inputs, strict=True)} for i in range(len(poses)))
             encoder = quantized(encoder, rows, ("Conv",))
         model = decoder_model(avatar, source.surface, decoder)
-        return {"decoder_int8.onnx": source.finish(model), "encoder_int8.onnx": source.finish(encoder)}
+        return {DECODER_INT8: source.finish(model), ENCODER_INT8: source.finish(encoder)}

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..bundle import Bundle
 from ..errors import WrongValue
-from ..tiers import DEFAULT
 from ..values.camera import Camera
 from ..values.gaussians import Gaussians
 from ..values.motion import Motion
@@ -36,13 +35,14 @@ class AdaptiveAvatar(PlayedAvatar):
     Raises UserError for a budget that is not positive.
     """
 
-    def __init__(self, bundle: Bundle, budget_s: float, *, tier: str = DEFAULT, threads: int | None = None):
+    def __init__(self, bundle: Bundle, budget_s: float, *, tier: str = "", threads: int | None = None):
         if not budget_s > 0:
             raise WrongValue(f"a budget of {1000 * budget_s:g} ms a frame is not possible: give a positive number")
         self._make = lambda reuse, uv: Avatar(bundle, tier=tier, uv=uv, reuse=reuse, threads=threads)
         self.budget_s = budget_s
         finest = self._make(1, None)
-        self.bundle, self.name, self.tier, self.uv, self.pixel = bundle, finest.name, tier, finest.uv, finest.pixel
+        self.bundle, self.name, self.tier = bundle, finest.name, finest.tier
+        self.uv, self.pixel = finest.uv, finest.pixel
         self.surface, self.expression = finest.surface, finest.expression
         self.joint_names, self.joints = finest.joint_names, finest.joints
         self.stage_seconds: dict[str, float] = {}

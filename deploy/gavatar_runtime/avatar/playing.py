@@ -12,7 +12,7 @@ from ..decoding.detail import thinned
 from ..decoding.residuals import Attributes, empty
 from ..errors import WrongValue
 from ..geometry.skinning import skin
-from ..tiers import DEFAULT, Parts, build_tier
+from ..tiers import Parts, build_tier, player_tiers
 from ..values.camera import Camera
 from ..values.gaussians import Gaussians
 from ..values.motion import Motion
@@ -30,9 +30,9 @@ from .visibility import seen_from
 class Avatar(PlayedAvatar):
     """The avatar of a bundle at one level of detail, ready to be posed.
 
-    bundle: an opened `Bundle` or the path of one. tier: how its Gaussians are decoded, one that the bundle holds; None
-    opens the body alone, at a fraction of the cost, for whatever asks for no Gaussians. uv: level of detail as a side
-    of the atlas, None for all Gaussians of the bundle (`detail.thinned`).
+    bundle: an opened `Bundle` or the path of one. tier: how its Gaussians are decoded, one that the bundle holds, '' for
+    the one that every bundle does; None opens the body alone, at a fraction of the cost, for whatever asks for no
+    Gaussians. uv: level of detail as a side of the atlas, None for all Gaussians of the bundle (`detail.thinned`).
     reuse: decode every so many calls only (`reuse.Faded`). seen_only: decode only what the camera given to `gaussians`
     can see, where the tier and the bundle can do that and decodes are not reused (`visibility.seen_from`).
     threads: that decode, None for one a core. Its fields are those of `PlayedAvatar`.
@@ -43,7 +43,7 @@ class Avatar(PlayedAvatar):
         self,
         bundle: Bundle | str | os.PathLike,
         *,
-        tier: str | None = DEFAULT,
+        tier: str | None = "",
         uv: int | None = None,
         reuse: int = 1,
         seen_only: bool = False,
@@ -64,9 +64,9 @@ class Avatar(PlayedAvatar):
         self.body = read_body(self.bundle, self.joints, 0 if self.expression is None else self.expression.count)
         self.joint_names = self.body.joint_names
         self.stage_seconds: dict[str, float] = {}
-        self.tier, self._tier, self._decoder = tier, None, None
-        if tier is not None:
-            self._tier = build_tier(tier, Parts(self.bundle, stored, map_surface, threads, chosen, added))
+        self.tier, self._tier, self._decoder = player_tiers().default if tier == "" else tier, None, None
+        if self.tier is not None:
+            self._tier = build_tier(self.tier, Parts(self.bundle, stored, map_surface, threads, chosen, added))
             self._decoder = self._spared(reuse)
         self.seen_only = bool(seen_only and self.networks and self._tier.picks and reuse == 1)
         self._means = InTurn(lambda: np.empty((len(self.surface), 3), np.float32))

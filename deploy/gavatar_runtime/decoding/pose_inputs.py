@@ -41,6 +41,11 @@ INPUTS: dict[str, Callable[[Surface, np.ndarray], np.ndarray]] = {
 }
 
 
+def input_shape(name: str, size: int) -> tuple[int, ...]:
+    """The shape of one pose's input, its map `size` texels wide and high."""
+    return (SMPL_BODY_JOINTS, 3, 3) if name == "joint_rotations" else (3, size, size)
+
+
 def pose_inputs(surface: Surface, poses: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, ...]:
     """The named inputs of poses (..., J, 3), float32, in the order of the names; maps are of `surface`'s resolution."""
     return tuple(INPUTS[name](surface, poses) for name in names)

@@ -6,7 +6,7 @@ import argparse
 
 from ..bundle import Bundle
 from ..errors import UserError
-from ..tiers import DEFAULT, stored_tiers
+from ..tiers import player_tiers, stored_tiers
 
 NEEDED = {"name", "frame_ms", "psnr_capture", "worst_psnr_capture"}  # of what the manifest says of a tier
 
@@ -27,7 +27,7 @@ def choose_tier(bundle: Bundle, arguments: argparse.Namespace) -> str:
     tiers = [t for t in bundle.manifest.tiers if isinstance(t, dict) and set(t) >= NEEDED]
     wish = arguments.fps if tiers and arguments.reuse == 1 and not arguments.seen_only else None
     if not (arguments.min_psnr or arguments.target_fps or wish):
-        return DEFAULT
+        return player_tiers().default
     if not tiers:
         raise UserError(
             f"{bundle.path} holds no measured tiers ({', '.join(stored_tiers(bundle))} only); export it with "
@@ -35,7 +35,7 @@ def choose_tier(bundle: Bundle, arguments: argparse.Namespace) -> str:
         )
     fits = tiers
     if arguments.min_psnr:
-        fits = [t for t in fits if t["name"] == DEFAULT or t["worst_psnr_capture"] >= arguments.min_psnr]
+        fits = [t for t in fits if t["name"] == player_tiers().default or t["worst_psnr_capture"] >= arguments.min_psnr]
     rate = arguments.target_fps or wish
     if rate:
         fast = [t for t in fits if 1000 / t["frame_ms"] >= rate]

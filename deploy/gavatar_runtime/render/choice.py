@@ -8,35 +8,40 @@ import pkgutil
 from collections.abc import Mapping
 from typing import Any
 
-from .. import native_library
 from ..components import Registry
 from ..plugins import load_entry_points
 from . import rasterizers
 from .rasterizers import Rasterizer
 
-AUTO = ("native", "numpy")  # what `auto` is where the kernel is compiled, and where it is not
+AUTO = "auto"  # the word for `best_rasterizer`
 
 
 def build_rasterizer(
-    name: str = "auto",
+    name: str = AUTO,
     options: Mapping[str, Any] | None = None,
     *,
     threads: int | None = None,
     trained: Mapping[str, Any] | None = None,
 ) -> Rasterizer:
-    """The player's rasterizer `name`; `auto` is the native one where it is there to be used, else the NumPy one.
+    """The player's rasterizer `name`, `auto` for the best that can be had.
 
     threads, trained: passed on to a rasterizer that has such options; `options` come before them. trained: the switches
     of a bundle's manifest, so that it is drawn as it was trained. Raises UserError for an unknown name or option.
     """
     registry = player_rasterizers()
-    if name == "auto":  # chosen by what is there, so that a mistaken option of the native one is still its own error
-        name = AUTO[0] if AUTO[0] in registry and native_library.available()[0] else AUTO[1]
+    if name == AUTO:  # chosen by what is there, so that a mistaken option of it is still its own error
+        name = best_rasterizer()
     if name not in registry:
         load_entry_points()
     fields = {field.name for field in dataclasses.fields(registry[name].config)}
     given = {**(trained or {}), **({} if threads is None else {"threads": threads})}
     return registry.build(name, {**{k: v for k, v in given.items() if k in fields}, **(options or {})})
+
+
+def best_rasterizer() -> str:
+    """The name of the player's rasterizer that is preferred of those that can be had here."""
+    found = [c for c in player_rasterizers() if not c.missing() and c.default_traits is not None]
+    return max(found, key=lambda component: component.default_traits.preference).name
 
 
 def player_rasterizers() -> Registry[Rasterizer]:

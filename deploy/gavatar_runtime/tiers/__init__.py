@@ -1,7 +1,8 @@
 """Tiers: how an avatar's Gaussians are decoded, from the full networks to a still set. One file a tier.
 
 A tier is a class that is constructed as `factory(options, parts=Parts)` and called as `tier(pose)`; its name in the
-registry is what `gavatar-play --tier` takes.
+registry is what `gavatar-play --tier` takes. What it reads is written by the component of the same name in
+`gavatar.registry.TIERS`; the names of members stand in `members`.
 """
 
 from __future__ import annotations
@@ -19,8 +20,7 @@ from ..decoding.residuals import Attributes
 from ..errors import UserError, WrongValue
 from ..plugins import load_entry_points
 from ..values.surface import Surface
-
-DEFAULT = "full"
+from .members import ArrayMember
 
 
 @dataclasses.dataclass
@@ -60,12 +60,12 @@ class Parts:
             )
         return attributes
 
-    def arrays(self, member: str, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """The arrays of an .npz member; UserError naming the first of `names` that is not there."""
-        arrays = self.bundle.arrays(member)
-        for name in names:
+    def arrays(self, member: ArrayMember) -> dict[str, np.ndarray]:
+        """The arrays of an .npz member; UserError naming the first that is not there."""
+        arrays = self.bundle.arrays(member.file)
+        for name in member.arrays:
             if name not in arrays:
-                raise UserError(f"{self.bundle.path}: {member} lacks the array '{name}'; export the avatar again")
+                raise UserError(f"{self.bundle.path}: {member.file} lacks the array '{name}'; export the avatar again")
         return arrays
 
 
@@ -115,15 +115,16 @@ def build_tier(name: str, parts: Parts) -> Tier:
     return tiers.build(name, parts=parts)
 
 
-def members_read(bundle: Bundle, tiers: Iterable[str]) -> set[str]:
-    """Members of a bundle that playing it by these tiers reads: all but those that belong to others it stores."""
-    readers = player_tiers()
-    of_tier = {name: set(readers[name].factory.members) for name in {*stored_tiers(bundle), *tiers}}
+def members_read(members: Iterable[str], stored: Iterable[str], tiers: Iterable[str]) -> set[str]:
+    """Of the members of a bundle that stores some tiers, those that playing it by `tiers` reads: all but those that
+    belong to others."""
+    readers, members, tiers = player_tiers(), set(members), set(tiers)
+    of_tier = {name: set(readers[name].factory.members) for name in {*stored, *tiers}}
     read = set().union(*(of_tier[name] for name in tiers))
-    return (set(bundle.manifest.members) - set().union(*of_tier.values())) | (read & set(bundle.manifest.members))
+    return (members - set().union(*of_tier.values())) | (read & members)
 
 
 def stored_tiers(bundle: Bundle) -> list[str]:
-    """Names of the tiers that a bundle holds, the full one first."""
-    named = [str(t.get("name")) for t in bundle.manifest.tiers if isinstance(t, dict) and t.get("name") != DEFAULT]
-    return [DEFAULT, *named]
+    """Names of the tiers that a bundle holds, the default one first, which every bundle does."""
+    default, tiers = player_tiers().default, bundle.manifest.tiers
+    return [default, *(str(t.get("name")) for t in tiers if isinstance(t, dict) and t.get("name") != default)]

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from ..components import NoOptions
+from ..decoding.residuals import Attributes
 from . import PLAYER_TIERS, Parts
+from .members import BAKED
 
-MEMBER = "baked.npz"
 
-
-def baked_attributes(parts: Parts):
+def baked_attributes(parts: Parts) -> Attributes:
     """Points (N, 3), colors (N, 3), scales (N,) of baked.npz, float32."""
-    arrays = parts.arrays(MEMBER, ("offsets", "colors", "scales"))
-    offsets, colors, scales = (arrays[k].astype(np.float32) for k in ("offsets", "colors", "scales"))
-    parts.check((offsets, colors, scales), MEMBER)
+    arrays = parts.arrays(BAKED)
+    offsets, colors, scales = (arrays[name].astype(np.float32) for name in BAKED.arrays)
+    parts.check((offsets, colors, scales), BAKED.file)
     points, colors, scales = map(parts.take, (parts.surface.points + offsets, colors, scales))
     return points, colors, parts.grow(scales)
 
@@ -23,12 +23,12 @@ def baked_attributes(parts: Parts):
 class Baked:
     """Decoded once; only skinning is left to each frame."""
 
-    members = (MEMBER,)
+    members = (BAKED.file,)
     moves, networks, picks = False, False, False
 
     def __init__(self, options: NoOptions, *, parts: Parts):
         self._attributes = baked_attributes(parts)
         self.stage_seconds: dict[str, float] = {"encode": 0.0, "decode": 0.0}
 
-    def __call__(self, pose: np.ndarray):
+    def __call__(self, pose: np.ndarray) -> Attributes:
         return self._attributes

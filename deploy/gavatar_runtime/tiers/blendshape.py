@@ -8,16 +8,13 @@ from time import perf_counter
 import numpy as np
 
 from ..components import NoOptions
-from ..decoding.residuals import blendshapes, empty, packed
+from ..decoding.residuals import Attributes, blendshapes, empty, packed
 from ..errors import UserError
 from ..geometry.rotations import matrix_from_axis_angle
 from ..values.body import SMPL_BODY_JOINTS
 from . import PLAYER_TIERS, Parts
-from .baked import MEMBER as BAKED
 from .baked import baked_attributes
-
-MEMBER = "blendshape.npz"
-ARRAYS = ("part", "basis", "gains", "low", "high", "joints", "input_low", "input_high")
+from .members import BAKED, BLENDSHAPE
 
 
 def pose_input(poses: np.ndarray, joints: np.ndarray) -> np.ndarray:
@@ -41,7 +38,7 @@ def turn_input(poses: np.ndarray, owners: np.ndarray, parents: np.ndarray) -> np
 
 
 class Coefficients:
-    """The weights of the bases in a pose, from the arrays of blendshape.npz (see `Blendshape`).
+    """The weights of the bases in a pose, from the arrays of blendshape.npz (`members.BLENDSHAPE`).
 
     parents: (J,) of the body's joints. source: named in errors. Raises UserError for arrays that do not fit."""
 
@@ -99,22 +96,16 @@ class Coefficients:
 
 @PLAYER_TIERS.register("blendshape", summary="pose residuals as linear bases by body part")
 class Blendshape:
-    """blendshape.npz: part (N,), basis (N, K / 4, 8, 4) int8 (`residuals.grouped`), gains (P, 8); the network's layers
-    weight_0, bias_0, weight_1, ... with ReLU between them, from `pose_input` of `joints` to the P x K coefficients; low
-    and high (P x K), between which coefficients are clamped, and input_low and input_high, between which its inputs
-    are: the range of training, so that no pose can leave what was seen. Of a look that depends on where surfaces face,
-    also direct (9 x joints, P x K), turn (P, 55, K) and owners (P,): what is linear in the network's inputs and in
-    `turn_input`, added to it. seen (F, 9 x joints), inputs of filmed poses, near (P, joints), which joints bend each
-    part, and fade, two distances: a part whose joints are farther from every filmed pose than the first loses its
-    residual, at the second all of it. (Without these three nothing fades.)
-    """
+    """The still look, and bases of each body part weighted by `Coefficients`: inputs and coefficients are kept within
+    the range of training, so that no pose can leave what was seen, and a part whose joints are far from every filmed
+    pose loses its residual; see `members.BLENDSHAPE`."""
 
-    members = (MEMBER, BAKED)
+    members = (BLENDSHAPE.file, BAKED.file)
     moves, networks, picks = True, False, False
 
     def __init__(self, options: NoOptions, *, parts: Parts):
-        arrays = parts.arrays(MEMBER, ARRAYS)
-        source = f"{parts.bundle.path}: {MEMBER}"
+        arrays = parts.arrays(BLENDSHAPE)
+        source = f"{parts.bundle.path}: {BLENDSHAPE.file}"
         self._base = packed(*baked_attributes(parts))
         stored = len(arrays["part"])
         self._part = np.ascontiguousarray(parts.take(arrays["part"]), np.uint8)
@@ -128,7 +119,7 @@ class Blendshape:
         self._calls = 0
         self.stage_seconds: dict[str, float] = {}
 
-    def __call__(self, pose: np.ndarray):
+    def __call__(self, pose: np.ndarray) -> Attributes:
         start = perf_counter()
         weights = self.coefficients(pose)
         encoded = perf_counter()

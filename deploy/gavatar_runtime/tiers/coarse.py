@@ -8,28 +8,25 @@ import numpy as np
 
 from ..components import NoOptions
 from ..decoding.network import Network
-from ..decoding.residuals import empty, packed, upsample
+from ..decoding.residuals import Attributes, empty, packed, upsample
 from . import PLAYER_TIERS, Parts
-from .baked import MEMBER as BAKED
 from .baked import baked_attributes
-from .full import OUTPUTS, Encoder
-
-DECODER, MEMBER = "decoder_coarse.onnx", "coarse.npz"
+from .full import Encoder
+from .members import BAKED, COARSE, DECODER_COARSE, ENCODER, OUTPUTS, POSE_FEATURES
 
 
 @PLAYER_TIERS.register("coarse", summary="pose residuals decoded on few points and upsampled")
 class Coarse:
-    """coarse.npz: index (N, K) and weight (N, K) of the M coarse points about each Gaussian, weights summing to 1;
-    base (M, 7), the coarse points' mean offset, colour and scale over the capture's poses, which the residuals are
-    taken from; ratio, of fine to coarse spacing, by which residuals of the scale shrink."""
+    """The coarse points' residuals against their mean, weighted onto each Gaussian's still look; see
+    `members.COARSE`."""
 
-    members = ("encoder.onnx", DECODER, MEMBER, BAKED)
+    members = (ENCODER, DECODER_COARSE, COARSE.file, BAKED.file)
     moves, networks, picks = True, True, False
 
     def __init__(self, options: NoOptions, *, parts: Parts):
-        arrays = parts.arrays(MEMBER, ("index", "weight", "base", "ratio"))
-        self._encoder = Encoder(parts, "encoder.onnx")
-        self._decoder = Network(parts.bundle, DECODER, ("pose_features",), OUTPUTS, parts.threads, by_rows=True)
+        arrays = parts.arrays(COARSE)
+        self._encoder = Encoder(parts, ENCODER)
+        self._decoder = Network(parts.bundle, DECODER_COARSE, (POSE_FEATURES,), OUTPUTS, parts.threads, by_rows=True)
         self._static = packed(*baked_attributes(parts))
         self._index = np.ascontiguousarray(parts.take(arrays["index"]), np.int32)
         self._weight = np.ascontiguousarray(parts.take(arrays["weight"]), np.float32)
@@ -42,7 +39,7 @@ class Coarse:
         self._calls = 0
         self.stage_seconds: dict[str, float] = {}
 
-    def __call__(self, pose: np.ndarray):
+    def __call__(self, pose: np.ndarray) -> Attributes:
         start = perf_counter()
         features = self._encoder(pose)
         encoded = perf_counter()

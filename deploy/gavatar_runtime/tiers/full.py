@@ -12,8 +12,7 @@ from ..decoding.pose_inputs import PoseInput, check_inputs
 from ..decoding.residuals import Attributes, empty
 from ..errors import UserError
 from . import PLAYER_TIERS, Parts
-
-OUTPUTS = ("offsets", "colors", "scales")
+from .members import DECODER, DECODER_INT8, ENCODER, ENCODER_INT8, OUTPUTS, POSE_FEATURES
 
 
 class Encoder:
@@ -21,7 +20,7 @@ class Encoder:
     that the next call fills again."""
 
     def __init__(self, parts: Parts, member: str):
-        self._network = Network(parts.bundle, member, None, ("pose_features",), parts.threads)
+        self._network = Network(parts.bundle, member, None, (POSE_FEATURES,), parts.threads)
         surface, source = parts.map_surface, f"{parts.bundle.path}: {member}"
         check_inputs(self._network.inputs, source)
         if "normal_map" in self._network.inputs and not np.isfinite(surface.normals).all():
@@ -38,11 +37,11 @@ class Encoder:
         return self._features
 
 
-@PLAYER_TIERS.register("full", summary="the networks as trained, float32")
+@PLAYER_TIERS.register("full", summary="the networks as trained, float32", default=True)
 class Full:
     """Encoder, then decoder on every Gaussian, or on the rows asked for."""
 
-    encoder, decoder = members = "encoder.onnx", "decoder.onnx"
+    encoder, decoder = members = ENCODER, DECODER
     networks, picks = True, True
 
     def __init__(self, options: NoOptions, *, parts: Parts):
@@ -50,7 +49,7 @@ class Full:
         self.moves = parts.bundle.manifest.dynamic
         self.stage_seconds: dict[str, float] = {}
         self._encoder = Encoder(parts, self.encoder) if self.moves else None
-        inputs = ("pose_features",) if self.moves else ()
+        inputs = (POSE_FEATURES,) if self.moves else ()
         self._decoder = Network(parts.bundle, self.decoder, inputs, OUTPUTS, parts.threads, by_rows=self.moves)
         self.picks = self._decoder.picks
         chosen = parts.chosen
@@ -112,4 +111,4 @@ class Full:
 class Int8(Full):
     """As `full`, by the quantised members."""
 
-    encoder, decoder = members = "encoder_int8.onnx", "decoder_int8.onnx"
+    encoder, decoder = members = ENCODER_INT8, DECODER_INT8

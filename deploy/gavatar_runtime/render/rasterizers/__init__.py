@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -43,4 +44,13 @@ class Rasterizer(Protocol):
         return to_bytes(self.render(gaussians, camera, background).color)
 
 
-PLAYER_RASTERIZERS: Registry[Rasterizer] = Registry("rasterizer")
+@dataclasses.dataclass(frozen=True)
+class RasterizerTraits:
+    """preference: above 0, the player may choose it by itself, the highest of those that can be had. measured: options
+    that trade accuracy for speed, each to be tried by itself where it is measured what playing costs."""
+
+    preference: int = 0
+    measured: tuple[Mapping[str, Any], ...] = ()
+
+
+PLAYER_RASTERIZERS: Registry[Rasterizer] = Registry("rasterizer", RasterizerTraits)

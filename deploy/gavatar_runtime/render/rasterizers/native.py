@@ -13,7 +13,7 @@ from ... import native_library as nl
 from ...native_library import available
 from ...values.camera import Camera
 from ...values.gaussians import Gaussians, Rendering
-from . import PLAYER_RASTERIZERS, WHITE, Rasterizer
+from . import PLAYER_RASTERIZERS, WHITE, Rasterizer, RasterizerTraits
 from .native_options import NativeOptions
 
 __all__ = ["NativeConfig", "NativeRasterizer", "available"]
@@ -26,7 +26,15 @@ class NativeConfig(NativeOptions):
     depth: bool = True
 
 
-@PLAYER_RASTERIZERS.register("native", config=NativeConfig, summary="exact, compiled, many times faster than numpy")
+@PLAYER_RASTERIZERS.register(
+    "native",
+    config=NativeConfig,
+    summary="exact, compiled, many times faster than numpy",
+    missing=lambda: available()[1],
+    traits=RasterizerTraits(
+        preference=2, measured=({"fast": True}, {"backface": 0.3}, {"depth_cut": 0.3}, {"resolution": 0.5})
+    ),
+)
 class NativeRasterizer(Rasterizer):
     """Exact splatting of NumPy arrays on the CPU, following `rasterizers.rules`.
 

@@ -11,7 +11,7 @@ import numpy as np
 from ...geometry.rotations import matrix_from_quaternion
 from ...values.camera import Camera
 from ...values.gaussians import Gaussians, Rendering
-from . import PLAYER_RASTERIZERS, WHITE, Rasterizer
+from . import PLAYER_RASTERIZERS, WHITE, Rasterizer, RasterizerTraits
 from .rules import ALPHA_MAX, ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS, NEAR, TRANSMITTANCE_STOP
 
 TILE = 8  # pixels; small tiles waste few pairs of pixel and Gaussian
@@ -170,7 +170,10 @@ class NumpyConfig:
 
 
 @PLAYER_RASTERIZERS.register(
-    "numpy", config=NumpyConfig, summary="exact, plain NumPy: the reference, needs nothing compiled"
+    "numpy",
+    config=NumpyConfig,
+    summary="exact, plain NumPy: the reference, needs nothing compiled",
+    traits=RasterizerTraits(preference=1),
 )
 class NumpyRasterizer(Rasterizer):
     """Tile by tile, plainly."""
