@@ -33,7 +33,7 @@ def median_ms(run, times: int) -> float:
 
 
 def playing(path: str, frames: int) -> None:
-    from gavatar.measure.ladder import _Nowhere
+    from gavatar.measure.timing import Nowhere
     from gavatar_runtime.avatar.playing import Avatar
     from gavatar_runtime.bundle import read_bundle
     from gavatar_runtime.decoding import network
@@ -57,7 +57,7 @@ def playing(path: str, frames: int) -> None:
             draw = median_ms(lambda i: rasterizer.render_uint8(gaussians, camera), frames)  # noqa: B023
             walls = []
             for pipelined in (False, True):
-                done = play(avatar, motion, camera, rasterizer, _Nowhere(), pipelined=pipelined)
+                done = play(avatar, motion, camera, rasterizer, Nowhere(), pipelined=pipelined)
                 walls.append(1e3 * float(np.median(done.walls[3:])))
             row = " ".join(f"{ms:.2f}" for ms in (decode, draw, *walls))
             print(f"  {decoding}, {drawing}; {spins!s:5}: {row}", flush=True)

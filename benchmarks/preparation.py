@@ -104,7 +104,7 @@ def main() -> None:
     start = time.perf_counter()
     source = open_source(clip, SourceOptions(detector=Detector(out / "masks"), most_frames=count))
     detected = time.perf_counter()
-    facts = CaptureFacts("prepared", given.license, f"gavatar-prepare {clip.name}")
+    facts = CaptureFacts("prepared", "free", given.license, f"gavatar-prepare {clip.name}")
     fit_and_write(source, data, out / "capture", facts, fov=arguments.fov, options=FitOptions(), overwrite=True)
     fitted = time.perf_counter()
     found = read_capture(out / "capture")

@@ -172,7 +172,7 @@ def main() -> None:
     if given is not None and source is not given:
         result["masks"] = mask_agreement(source, given)
     found = time.perf_counter()
-    facts = CaptureFacts(options.footage.stem, holdout_camera=options.holdout)
+    facts = CaptureFacts(options.footage.stem, "free", holdout_camera=options.holdout)
     known = source.footage[0].lens is not None
     quality = fit_and_write(source, BODIES.build("free").data, out / "capture", facts, overwrite=True, progress=False,
                       options=FitOptions(refine_cameras=known and len(source.footage) > 1))  # fmt: skip

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from gavatar_runtime.errors import UserError
 
-from .registry import LOSSES, load_plugins
+from .registry import LOSSES, LossTraits, load_plugins
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -123,6 +123,16 @@ class LossComposer:
         # one transfer from the device for all values
         numbers = torch.stack(list(values.values())).tolist() if values else []
         return total, dict(zip(values, numbers, strict=True))
+
+
+def judging_poses(losses: Mapping[str, float | Mapping[str, Any]]) -> dict[str, float | Mapping[str, Any]]:
+    """Those of the composed losses by which poses can be fitted to images."""
+    kept = {}
+    for name, value in losses.items():
+        traits: LossTraits = LOSSES[name].traits(loss_config(name, value))
+        if traits.judges_poses:
+            kept[name] = value
+    return kept
 
 
 def loss_config(name: str, value: float | Mapping[str, Any] | None) -> LossConfig:

@@ -26,10 +26,12 @@ from .optional import extra_of, install_command
 @dataclasses.dataclass(frozen=True)
 class BodyTraits:
     """chooses: it stands for others: its factory has `choose(options, capture)`, which gives the node of the body for a
-    capture. capture_name: what a capture calls it, as its `body_model`, '' for the component's own name."""
+    capture. capture_name: what a capture calls it, as its `body_model`, '' for the component's own name. shipped: it
+    comes with the package; a person is fitted with it where no other is asked for."""
 
     chooses: bool = False
     capture_name: str = ""
+    shipped: bool = False
 
 
 @dataclasses.dataclass(frozen=True)

@@ -65,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--height", type=float, metavar="M", help="the person's height in metres, if known")
     parser.add_argument("--pose-network", metavar="FILE", type=Path, help="another landmark network with the inputs "
                         "and outputs of MediaPipe's (ONNX); the package brings its 'full' one")  # fmt: skip
-    parser.add_argument("--body", default="free", metavar="NAME", help="body to fit: free (default), or smpl, smplh, "
+    parser.add_argument("--body", metavar="NAME", help="body to fit: free (default), or smpl, smplh, "
                         "smplx from your own files (docs/reference/bodies.md)")  # fmt: skip
     parser.add_argument("--body-path", metavar="PATH", help="model file of --body, or the folder to look in before "
                         "those of $GAVATAR_BODY_MODELS")  # fmt: skip
@@ -98,13 +98,14 @@ def _body(arguments: argparse.Namespace) -> dict[str, Any]:
     load_plugins()
     options = {"path": arguments.body_path, "gender": arguments.gender}
     options = {key: value for key, value in options.items() if value is not None}
-    takes = {field.name for field in dataclasses.fields(BODIES[arguments.body].config)}
+    name = arguments.body or BODIES.having(shipped=True)[0]
+    takes = {field.name for field in dataclasses.fields(BODIES[name].config)}
     if not takes.issuperset(options):
         raise UserError(
-            f"--body-path and --gender are for the official bodies, not for '{arguments.body}': give --body smpl, "
-            "smplh or smplx too"
+            f"--body-path and --gender are for the official bodies, not for '{name}': give --body smpl, smplh or smplx "
+            "too"
         )
-    return {"name": arguments.body, **options}
+    return {"name": name, **options}
 
 
 def check(path: Path) -> int:

@@ -52,12 +52,14 @@ def main(argv: list[str] | None = None) -> int:
 
     from gavatar_runtime.avatar.playing import Avatar
     from gavatar_runtime.bundle import read_bundle
-    from gavatar_runtime.motions import read_motion
+    from gavatar_runtime.motions import MOTIONS, read_motion
 
     from ..capture.opening import open_capture
     from ..images.metrics import perceptual_metric
-    from ..measure.ladder import Choice, machine, run_ladder, yardstick
+    from ..measure.choices import Choice
+    from ..measure.ladder import run_ladder
     from ..measure.ladder_report import figure, table
+    from ..measure.timing import machine, yardstick
     from ..registry import load_plugins
     from ..storage import write_json
 
@@ -70,7 +72,7 @@ def main(argv: list[str] | None = None) -> int:
     if a.motion:
         motion = read_motion(a.motion)
     else:
-        motion = (capture.truth or capture.motion) if capture else read_motion("wave")
+        motion = (capture.truth or capture.motion) if capture else read_motion(MOTIONS.having(varied=True)[0])
     motion = Avatar(bundle, tier=None).fit(motion)[0]
     there_and_back = np.r_[: len(motion), len(motion) - 2 : 0 : -1] if len(motion) > 2 else np.arange(len(motion))
     index = np.resize(there_and_back, a.frames)

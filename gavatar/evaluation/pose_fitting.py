@@ -14,14 +14,13 @@ from gavatar_runtime.values.motion import Motion
 from ..attributes import Attributes
 from ..avatar.trainable import Pose
 from ..config import MotionConfig
-from ..losses import LossComposer, LossInputs
+from ..losses import LossComposer, LossInputs, judging_poses
 from ..training.footage import Comparison
 from ..training.motion_table import RowAdam
 from ..training.scene import Scene
 
 CHUNK = 8  # views drawn at a time
 LEAST_RATE = 0.05  # of the first
-OF_THE_AVATAR = ("feature", "pose_feature", "perceptual", "lpips")  # losses that say nothing of poses, or too dearly
 
 
 def fit_poses(
@@ -40,7 +39,7 @@ def fit_poses(
     attributes: of each frame, as decoded; they stay. losses: those of the training. scale: of the images.
     """
     table, frames = scene.motion, scene.frames
-    composer = LossComposer({name: value for name, value in losses.items() if name not in OF_THE_AVATAR})
+    composer = LossComposer(judging_poses(losses))
     rates = options.lr, options.lr_trans
     optimizer = RowAdam([{"params": [p]} for p in (table.rotation_correction, table.trans_correction)])
     for step in tqdm(range(steps), desc="fitting held-out poses", unit="step", disable=not progress, leave=False):

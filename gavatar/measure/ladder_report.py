@@ -19,27 +19,31 @@ def _text(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
+def _cells(row: Row) -> list[str]:
+    """The row of the table, as HEADER names its cells."""
+    low, high = row.speed.spread_ms
+    footage, process = row.footage, row.process
+    return [
+        row.choice.label,
+        str(row.gaussians),
+        _text(row.speed.median_ms, 2),
+        f"{low:.1f}-{high:.1f}",
+        _text(row.speed.fps, 1),
+        _text(row.full.psnr, 2),
+        _text(row.full.worst_psnr, 2),
+        _text(footage and footage.psnr, 2),
+        _text(footage and footage.worst_psnr, 2),
+        _text(row.full.perceptual, 4),
+        _text(process and process.memory_mb, 0),
+        _text(process and process.first_frame_s, 2),
+        _text(row.bundle_mb, 1),
+        "dominated" if row.dominated else "",
+    ]
+
+
 def table(rows: list[Row], machine: str, perceptual: str | None) -> str:
     """One line a choice, with what a reader must know to use the numbers."""
-    lines = [
-        [
-            row.choice.label,
-            str(row.gaussians),
-            _text(row.median_ms, 2),
-            f"{row.spread_ms[0]:.1f}-{row.spread_ms[1]:.1f}",
-            _text(row.fps, 1),
-            _text(row.psnr_vs_full, 2),
-            _text(row.worst_psnr_vs_full, 2),
-            _text(row.psnr_vs_footage, 2),
-            _text(row.worst_psnr_vs_footage, 2),
-            _text(row.perceptual_vs_full, 4),
-            _text(row.memory_mb, 0),
-            _text(row.first_frame_s, 2),
-            _text(row.bundle_mb, 1),
-            "dominated" if row.dominated else "",
-        ]
-        for row in rows
-    ]
+    lines = [_cells(row) for row in rows]
     notes = [
         f"{rows[0].width} x {rows[0].height} pixels, {os.cpu_count()} cores, {machine}; frame times are medians after "
         "a warm-up, writing excluded",
@@ -59,9 +63,8 @@ def figure(rows: list[Row], path: str | Path, title: str) -> None:
     from matplotlib import pyplot
 
     chart, axis = pyplot.subplots(figsize=(8, 5))
-    finite = [row.psnr_vs_full for row in rows if row.psnr_vs_full is not None and row.psnr_vs_full < 99]
-    top = max(finite, default=40) + 4
-    place = {id(row): (row.fps, min(row.psnr_vs_full or 0, top)) for row in rows}
+    top = max((row.full.psnr for row in rows if row.full.psnr < 99), default=40) + 4
+    place = {id(row): (row.speed.fps, min(row.full.psnr, top)) for row in rows}
     front = sorted(place[id(row)] for row in rows if not row.dominated)
     axis.plot(*zip(*front, strict=True), color="0.7", zorder=1)
     colors = {tier: f"C{i}" for i, tier in enumerate(dict.fromkeys(row.choice.tier for row in rows))}

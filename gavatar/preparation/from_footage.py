@@ -48,7 +48,7 @@ def prepare(
     frames: slice = slice(None), max_frames: int = MOST_FRAMES, size: int | None = None,
     landmarks: PathLike | None = None, masks: PathLike | None = None, cameras: PathLike | None = None,
     fov: float | None = None, refine_cameras: bool = False, holdout_camera: str | None = None,
-    pose_network: PathLike | None = None, body: str | Mapping[str, Any] = "free", num_betas: int = FITTED_BETAS,
+    pose_network: PathLike | None = None, body: str | Mapping[str, Any] | None = None, num_betas: int = FITTED_BETAS,
     name: str | None = None, license: str = "unknown", preview: bool = True, overwrite: bool = False,
     progress: bool = True, say: Callable[[str], None] = print,
 ) -> PreparedCapture:  # fmt: skip
@@ -60,8 +60,9 @@ def prepare(
     longer side. landmarks, masks, cameras: where they are when not beside the footage. fov: of an unknown camera,
     degrees over the longer side (40). refine_cameras: calibrated principal points may move a little. holdout_camera:
     kept from training, for novel views. pose_network: another landmark network (ONNX). body: name, or a dict of `name`
-    and its options. num_betas: shape coefficients to fit. name, license: of the capture. preview: write preview.png and
-    preview.mp4. overwrite: replace `out`. say: is told what was found and what to know of it.
+    and its options, by default the one that comes with gavatar. num_betas: shape coefficients to fit. name, license: of
+    the capture. preview: write preview.png and preview.mp4. overwrite: replace `out`. say: is told what was found and
+    what to know of it.
 
     Raises UserError in one sentence, and leaves nothing at `out` then.
     """
@@ -71,6 +72,7 @@ def prepare(
     if out.exists() and not overwrite:
         raise UserError(f"{out} exists: choose another folder, or replace it with --overwrite (overwrite=True)")
     load_plugins()
+    body = body or BODIES.having(shipped=True)[0]
     fitted, options = split_node(dict(body) if isinstance(body, Mapping) else {"name": body})
     model = BODIES.build(fitted, options)  # before the footage, which takes long
     with tempfile.TemporaryDirectory(prefix="gavatar-masks-") as folder:

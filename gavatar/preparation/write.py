@@ -34,9 +34,9 @@ class CaptureFacts:
     """What capture.json says beside the numbers. holdout_camera: kept for novel views, or None."""
 
     name: str
+    body_model: str
     license: str = "unknown"
     source: str = ""
-    body_model: str = "free"
     holdout_camera: str | None = None
     gender: str = "neutral"
 

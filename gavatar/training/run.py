@@ -15,6 +15,7 @@ from ..avatar.trainable import Avatar
 from ..capture.capture import Capture, View
 from ..capture.opening import open_capture
 from ..config import TrainConfig, check
+from ..registry import RASTERIZERS, split_node
 from ..storage import atomic, load_tensors
 from .motion_table import MotionTable
 from .stage import REFUSED, STAGE_FILES
@@ -127,7 +128,7 @@ def open_run(directory: str | Path, stage: int | None = None, capture: str | Pat
     for parameter in [*built.avatar.parameters(), *motion.parameters()]:
         parameter.requires_grad_(False)
     pixel = None
-    if not config.rasterizer.get("antialiased"):  # which keeps the filter from widening anything
+    if RASTERIZERS.traits(*split_node(config.rasterizer)).widens:
         scale = getattr(config, f"stage{number}").levels[-1].image
         pixel = finest_pixel(opened, opened.views(config.train_split), scale, motion.motion())
     return Run(directory, config, opened, built, motion, state["stage"], state["uv"], pixel)

@@ -13,6 +13,7 @@ from tqdm import tqdm
 from gavatar_runtime.errors import UserError
 
 from ..losses import LossComposer, LossInputs
+from ..registry import LOSSES, LossTraits
 from ..storage import load_tensors, save_tensors
 from .motion_table import RowAdam
 from .plan import Plan
@@ -126,7 +127,7 @@ class Stage:
             bar.update()
             last = step + 1 == steps
             if step % 10 == 0 or last:
-                bar.set_postfix({k: f"{v:.4f}" for k, v in losses.items() if k in ("total", "l1", "ssim")})
+                bar.set_postfix({k: f"{v:.4f}" for k, v in losses.items() if k == "total" or _in_bar(k)})
                 record.log(plan.number, step, {k: float(v) for k, v in losses.items()})
             if not np.isfinite(losses["total"]):
                 self._diverged(step, losses["total"])
@@ -270,3 +271,8 @@ class Stage:
             | {"step": step}
             | record.state(),
         )
+
+
+def _in_bar(loss: str) -> bool:
+    traits: LossTraits = LOSSES.traits(loss)
+    return traits.in_progress_bar

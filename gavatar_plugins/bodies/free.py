@@ -8,7 +8,7 @@ import importlib.resources
 
 import numpy as np
 
-from gavatar.registry import BODIES
+from gavatar.registry import BODIES, BodyTraits
 from gavatar_runtime.values.body import BodyData
 
 BODY_FILE = "gavatar_body_smplh.npz"
@@ -41,7 +41,12 @@ def load_free_body() -> BodyData:
         )
 
 
-@BODIES.register("free", config=FreeBodyConfig, summary="CC0 body shipped with gavatar, SMPL-H joint order")
+@BODIES.register(
+    "free",
+    config=FreeBodyConfig,
+    summary="CC0 body shipped with gavatar, SMPL-H joint order",
+    traits=BodyTraits(shipped=True),
+)
 class FreeBody:
     """The packaged CC0 body.
 
@@ -49,7 +54,7 @@ class FreeBody:
     """
 
     summary = "CC0 body shipped with gavatar: 52 joints in SMPL-H order, 10 shape coefficients, no pose blendshapes"
-    license = licence = "CC0-1.0"
+    license = "CC0-1.0"
 
     def __init__(self, config: FreeBodyConfig):
         self.config = config

@@ -26,9 +26,7 @@ class SmplhConfig:
     config=SmplhConfig,
     summary="SMPL-H: 52 joints with fingers, pose blendshapes",
     needs="the SMPL-H model and smpl_uv.obj, downloaded by you (docs/reference/bodies.md)",
-    traits=BodyTraits(
-        capture_name="smplh-official"
-    ),  # captures made before the free body had a name say "smplh" for it
+    traits=BodyTraits(capture_name="smplh-official"),  # captures called the free body `smplh` before it had a name
 )
 class Smplh:
     """data: the numbers of the model. license: of its files."""

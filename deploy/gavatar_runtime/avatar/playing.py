@@ -30,8 +30,8 @@ from .visibility import seen_from
 class Avatar(PlayedAvatar):
     """The avatar of a bundle at one level of detail, ready to be posed.
 
-    bundle: an opened `Bundle` or the path of one. tier: how its Gaussians are decoded, one that the bundle holds, '' for
-    the one that every bundle does; None opens the body alone, at a fraction of the cost, for whatever asks for no
+    bundle: an opened `Bundle` or the path of one. tier: how its Gaussians are decoded, one that the bundle holds, ''
+    for the one that every bundle does; None opens the body alone, at a fraction of the cost, for whatever asks for no
     Gaussians. uv: level of detail as a side of the atlas, None for all Gaussians of the bundle (`detail.thinned`).
     reuse: decode every so many calls only (`reuse.Faded`). seen_only: decode only what the camera given to `gaussians`
     can see, where the tier and the bundle can do that and decodes are not reused (`visibility.seen_from`).

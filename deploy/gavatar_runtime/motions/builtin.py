@@ -14,7 +14,7 @@ from ..errors import UserError
 from ..geometry.rotations import axis_angle_from_quaternion, quaternion_from_axis_angle
 from ..values.motion import Motion
 from ..values.skeletons import FINGERS, SMPLH
-from .source import MOTIONS
+from .source import MOTIONS, MotionTraits
 
 # Degrees about x, y, z of left-hand joints; the right side mirrors them. A standing person's arms hang a palm's width
 # off the hips, turned in by their own weight, elbows and fingers never quite straight.
@@ -38,7 +38,9 @@ class TurnOptions:
     fps: float = 30.0
 
 
-@MOTIONS.register("turn", config=TurnOptions, summary="a full turn about the vertical, arms hanging")
+@MOTIONS.register(
+    "turn", config=TurnOptions, summary="a full turn about the vertical, arms hanging", default=True
+)
 class Turn:
     """A full turn to the person's left in a relaxed pose; the frame after the last would be the first."""
 
@@ -63,7 +65,12 @@ class WaveOptions:
     waves: int = 5
 
 
-@MOTIONS.register("wave", config=WaveOptions, summary="the right hand waves, the body sways a little; loops")
+@MOTIONS.register(
+    "wave",
+    config=WaveOptions,
+    summary="the right hand waves, the body sways a little; loops",
+    traits=MotionTraits(varied=True),
+)
 class Wave:
     """The right forearm stands up and swings about the elbow, the hand trailing behind; the weight shifts from foot to
     foot once a loop. The frame after the last would be the first."""

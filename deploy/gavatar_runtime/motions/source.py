@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,7 +22,14 @@ class MotionSource(Protocol):
         """The motion; UserError for whatever is wrong with the file or the options."""
 
 
-MOTIONS: Registry[MotionSource] = Registry("motion")
+@dataclasses.dataclass(frozen=True)
+class MotionTraits:
+    """varied: a built-in motion whose poses vary, so that what playing costs and loses can be measured by it."""
+
+    varied: bool = False
+
+
+MOTIONS: Registry[MotionSource] = Registry("motion", MotionTraits)
 
 
 def read_motion(source: str | Path, **options: Any) -> Motion:
