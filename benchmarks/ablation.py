@@ -27,11 +27,11 @@ import numpy as np
 
 from gavatar.config import check, compose_config
 from gavatar.evaluation.joint_errors import motion_errors
-from gavatar.evaluation.report import format_table
 from gavatar.evaluation.result import Evaluation
 from gavatar.evaluation.scores import Evaluator, evaluate
 from gavatar.registry import load_plugins
 from gavatar.storage import write_image, write_json
+from gavatar.text_table import format_table
 from gavatar.training.preview import error_map
 from gavatar.training.run import open_run, train
 from gavatar_runtime.errors import exit_cleanly

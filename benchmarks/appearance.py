@@ -25,10 +25,10 @@ import numpy as np
 from gavatar.capture.capture import Capture, View
 from gavatar.capture.opening import open_capture
 from gavatar.config import compose_config
-from gavatar.evaluation.report import format_table
 from gavatar.evaluation.scores import Evaluator, evaluate
 from gavatar.registry import load_plugins
 from gavatar.storage import write_image, write_json
+from gavatar.text_table import format_table
 from gavatar.training.run import open_run, train
 from gavatar_runtime.errors import exit_cleanly
 from gavatar_runtime.geometry.rotations import matrix_from_axis_angle

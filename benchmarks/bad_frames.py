@@ -22,9 +22,9 @@ from gavatar.body.skeleton import SMPL_BODY_JOINTS
 from gavatar.capture.opening import open_capture
 from gavatar.config import compose_config
 from gavatar.evaluation.joint_errors import joints_of
-from gavatar.evaluation.report import format_table
 from gavatar.registry import load_plugins
 from gavatar.storage import write_json
+from gavatar.text_table import format_table
 from gavatar.training.remedies.acceptance import refuse_worse_poses
 from gavatar.training.remedies.outliers import other_side
 from gavatar.training.run import train

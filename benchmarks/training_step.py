@@ -21,8 +21,8 @@ import torch
 
 from gavatar.config import check, compose_config
 from gavatar.demo import demo_capture
-from gavatar.evaluation.report import format_table
 from gavatar.storage import write_json
+from gavatar.text_table import format_table
 from gavatar.training.footage import Footage
 from gavatar.training.stage import Stage
 from gavatar.training.trainer import Trainer

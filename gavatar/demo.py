@@ -19,10 +19,10 @@ from gavatar_runtime.geometry.spacing import evenly_spaced
 
 from .capture.capture import View
 from .config import compose_config
-from .evaluation.report import format_table
 from .evaluation.scores import Evaluation, Evaluator, evaluate
 from .export.bundling import export
 from .storage import atomic, write_json
+from .text_table import format_table
 from .training.preview import error_map
 from .training.run import Run, open_run, train
 

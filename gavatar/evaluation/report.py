@@ -7,19 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from ..storage import atomic
+from ..text_table import format_table
 from ..training.preview import error_map
 from .result import Evaluation
-
-
-def format_table(header: list[str], rows: list[list[str]]) -> str:
-    """Rows of text in aligned columns, the first left-aligned, the others right-aligned."""
-    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
-
-    def line(row: list[str]) -> str:
-        cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
-        return "  ".join(cells).rstrip()
-
-    return "\n".join([line(header), line(["-" * w for w in widths]), *(line(row) for row in rows)])
 
 
 def _number(value: float | None, digits: int) -> str:

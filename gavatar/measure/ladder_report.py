@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from ..evaluation.report import format_table
 from ..storage import atomic
+from ..text_table import format_table
 from .ladder import Row
 
 HEADER = [

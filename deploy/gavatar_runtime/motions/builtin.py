@@ -38,9 +38,7 @@ class TurnOptions:
     fps: float = 30.0
 
 
-@MOTIONS.register(
-    "turn", config=TurnOptions, summary="a full turn about the vertical, arms hanging", default=True
-)
+@MOTIONS.register("turn", config=TurnOptions, summary="a full turn about the vertical, arms hanging", default=True)
 class Turn:
     """A full turn to the person's left in a relaxed pose; the frame after the last would be the first."""
 
