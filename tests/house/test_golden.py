@@ -6,8 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
-GOLDEN = Path(__file__).resolve().parents[1] / "tools" / "golden.py"
+GOLDEN = ROOT / "tools" / "golden.py"
 
 
 def golden(*words) -> subprocess.CompletedProcess:
