@@ -145,9 +145,9 @@ class Registry(Generic[T]):
 
     @property
     def default(self) -> str:
-        """The name of the component that is taken where none is asked for; UserError where there is no such one."""
+        """The name of the component that is taken where none is asked for; WrongValue where there is no such one."""
         if not self._default:
-            raise UserError(f"no {self.group} is the default: name one, {did_you_mean('', self._components)}")
+            raise WrongValue(f"no {self.group} is the default: name one, {did_you_mean('', self._components)}")
         return self._default
 
     def __getitem__(self, name: str) -> Component[T]:
