@@ -29,11 +29,11 @@ from typing import Any
 
 import numpy as np
 
-from . import __version__
-from .errors import UserError
+from .errors import MissingFile, UserError
 from .formats.files import atomic
 from .values.body import Hands
 from .values.surface import Surface
+from .version import __version__
 
 FORMAT = "gavatar"
 FORMAT_VERSION = 1
@@ -176,7 +176,7 @@ def read_bundle(path: str | os.PathLike, *, verify: bool = False) -> Bundle:
     """
     path = Path(path)
     if not path.exists():
-        raise UserError(f"avatar {path} does not exist")
+        raise MissingFile(f"avatar {path} does not exist")
     try:
         values = json.loads(_read_member(path, MANIFEST).decode("utf-8"))
     except (UnicodeDecodeError, json.JSONDecodeError) as error:

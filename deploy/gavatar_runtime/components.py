@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
-from .errors import UserError, did_you_mean
+from .errors import WrongValue, did_you_mean
 
 T = TypeVar("T")
 
@@ -145,29 +145,29 @@ class Registry(Generic[T]):
 
     @property
     def default(self) -> str:
-        """The name of the component that is taken where none is asked for; UserError where there is no such one."""
+        """The name of the component that is taken where none is asked for; WrongValue where there is no such one."""
         if not self._default:
-            raise UserError(f"no {self.group} is the default: name one, {did_you_mean('', self._components)}")
+            raise WrongValue(f"no {self.group} is the default: name one, {did_you_mean('', self._components)}")
         return self._default
 
     def __getitem__(self, name: str) -> Component[T]:
-        """The component called `name`; UserError with the choices and the nearest match if there is none."""
+        """The component called `name`; WrongValue with the choices and the nearest match if there is none."""
         try:
             return self._components[name]
         except KeyError:
-            raise UserError(f"unknown {self.group} '{name}': {did_you_mean(name, self._components)}") from None
+            raise WrongValue(f"unknown {self.group} '{name}': {did_you_mean(name, self._components)}") from None
 
     def options(self, name: str, values: Mapping[str, Any] | None = None) -> Any:
         """A filled config dataclass for component `name` from plain `values` (a `name` key is ignored).
 
-        Raises UserError for a key the component does not have.
+        Raises WrongValue for a key the component does not have.
         """
         component = self[name]
         fields = {f.name for f in dataclasses.fields(component.config)}
         values = {k: v for k, v in (values or {}).items() if k != "name"}
         for key in values:
             if key not in fields:
-                raise UserError(f"{self.group} '{name}' has no option '{key}': {did_you_mean(key, fields)}")
+                raise WrongValue(f"{self.group} '{name}' has no option '{key}': {did_you_mean(key, fields)}")
         return component.config(**values)
 
     def build(self, name: str, values: Mapping[str, Any] | None = None, **context: Any) -> T:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import functools
+import graphlib
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -58,6 +60,77 @@ def called(node: ast.Call) -> str:
         return ast.unparse(node.func)
     except ValueError:
         return ""
+
+
+def module_of(path: Path) -> str:
+    """The dotted name of a file's module, a package's own for its __init__."""
+    home = next(room.parent for room in (RUNTIME, LIBRARY, PLUGINS) if room in path.parents)
+    parts = path.relative_to(home).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+@functools.cache
+def imports_within(*rooms: Path) -> dict[str, set[str]]:
+    """For each module of these rooms the others that it imports: in functions and under TYPE_CHECKING too, and a
+    submodule that is imported from its package as that submodule."""
+    modules = {module_of(path): path for path in sources(*rooms)}
+    graph: dict[str, set[str]] = {}
+    for module, path in modules.items():
+        found = {name for _, name in imported(path)}
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom):
+                package = absolute_name(node, path)
+                names = {f"{package}.{alias.name}" for alias in node.names} & modules.keys()
+                found |= names
+                if len(names) == len(node.names) and package != module:
+                    found.discard(package)
+        graph[module] = found & modules.keys() - {module}
+    return graph
+
+
+# the runtime's rooms, the lowest first: each may import what stands before it
+FLOORS = (
+    ("version", "errors"), ("components", "plugins", "native_library"), ("geometry",), ("values",), ("formats",),
+    ("bundle",), ("motions",), ("decoding",), ("tiers",), ("avatar",), ("render",), ("play",), ("face",), ("cli",),
+    ("gavatar_runtime",),
+)  # fmt: skip
+FLOOR = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+
+
+def room_of(module: str) -> str:
+    return module.split(".")[1] if "." in module else module
+
+
+@parametrize_files(RUNTIME)
+def test_a_room_of_the_runtime_imports_only_rooms_below_it(path):
+    module = module_of(path)
+    upwards = [
+        name
+        for name in imports_within(RUNTIME)[module]
+        if room_of(name) != room_of(module) and FLOOR[room_of(name)] >= FLOOR[room_of(module)]
+    ]
+    assert upwards == []
+
+
+@pytest.mark.parametrize("room", [RUNTIME, LIBRARY, PLUGINS], ids=lambda p: p.name)
+def test_no_modules_import_each_other_in_a_circle(room):
+    """Imports for type checkers count: what two modules need of each other belongs into a third."""
+    graphlib.TopologicalSorter(imports_within(room)).prepare()  # raises CycleError, which names the circle
+
+
+def test_the_check_of_circles_sees_imports_in_functions_and_for_type_checkers(tmp_path, monkeypatch):
+    room = tmp_path / "gavatar_runtime"
+    (room / "play").mkdir(parents=True)
+    (room / "__init__.py").write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .play import loop")
+    (room / "play" / "__init__.py").write_text("")
+    (room / "play" / "loop.py").write_text("def f():\n    from .. import face\n")
+    (room / "face.py").write_text("from .play.loop import f\n")
+    monkeypatch.setattr(sys.modules[__name__], "RUNTIME", room)
+    graph = imports_within(room)
+    assert graph["gavatar_runtime"] == {"gavatar_runtime.play.loop"}
+    assert graph["gavatar_runtime.play.loop"] == {"gavatar_runtime.face"}
+    with pytest.raises(graphlib.CycleError):
+        graphlib.TopologicalSorter(graph).prepare()
 
 
 def violations(path: Path, allowed) -> list[str]:

@@ -53,7 +53,8 @@ def their_projection(scene: Gaussians, camera):
 def test_centres_depths_conics_and_their_gradients_agree(isotropic, camera):
     camera = CAMERAS[camera]
     scene = as_torch(random_scene(0, 300, isotropic=isotropic), torch.float64)
-    scene.means = scene.means * torch.tensor([2.0, 2.0, 1.0]).double()  # many beyond the frustum margin
+    wide = torch.tensor([2.0, 2.0, 1.0]).double()  # many beyond the frustum margin
+    scene = dataclasses.replace(scene, means=scene.means * wide)
     fields = [value.requires_grad_() for value in vars(scene).values() if value is not None]
     splats = project(scene, camera)
     _, xy, depth, conic = their_projection(scene, camera)

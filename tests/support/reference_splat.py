@@ -49,7 +49,7 @@ def covariance_2d(point, scale, quaternion, camera: Camera) -> np.ndarray:
     return jacobian @ world_to_camera @ sigma @ world_to_camera.T @ jacobian.T + LOW_PASS * np.eye(2)
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
 class Reference(Rendering):
     """doubtful: (H, W) bool, pixels at which an alpha lay within a fraction `slack` of ALPHA_MIN, a transmittance
     within `slack` of TRANSMITTANCE_STOP, or two Gaussians drawn in turn within `depth_slack` of one depth."""

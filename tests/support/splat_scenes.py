@@ -91,8 +91,8 @@ def map_fields(gaussians: Gaussians, function) -> Gaussians:
 
 def as_numpy(gaussians: Gaussians, dtype=np.float32) -> Gaussians:
     converted = map_fields(gaussians, lambda value: np.asarray(value, dtype))
-    converted.normals = None if gaussians.normals is None else np.asarray(gaussians.normals, dtype)
-    return converted
+    normals = None if gaussians.normals is None else np.asarray(gaussians.normals, dtype)
+    return dataclasses.replace(converted, normals=normals)
 
 
 def as_torch(gaussians: Gaussians, dtype=None) -> Gaussians:

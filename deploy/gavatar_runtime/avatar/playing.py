@@ -125,10 +125,10 @@ class Avatar(PlayedAvatar):
         else writes to; without, they are to be read only, and are filled again by the third call from this one.
         Returns N isotropic Gaussians in the world, float32, opaque (fewer with `seen_only`).
         Raises WrongValue for a pose, a translation or an expression that it cannot have, NaN and infinite ones among
-        them, ValueError for an avatar without a tier.
+        them, and for an avatar without a tier.
         """
         if self._decoder is None:
-            raise ValueError("this avatar was opened with tier=None: it has a body and no Gaussians")
+            raise WrongValue("this avatar was opened with tier=None: it has a body and no Gaussians")
         pose, trans = self._standing(pose, trans)
         coefficients = self._coefficients(expression)
         start = perf_counter()

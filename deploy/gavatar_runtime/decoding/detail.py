@@ -59,3 +59,18 @@ def point_spacing(surface: Surface) -> np.ndarray:
 def uv_for_size(surface: Surface, pixels: float) -> int:
     """A side of the atlas that is enough for a person `pixels` tall: one Gaussian a pixel or so."""
     return int(np.clip(np.rint(pixels / PIXELS_PER_GAUSSIAN), MIN_UV, surface.resolution))
+
+
+def uv_for_count(surface: Surface, count: int) -> int:
+    """The largest side of the atlas that keeps at most `count` of a surface's Gaussians. Raises WrongValue for fewer
+    than the coarsest level keeps."""
+    low, high = MIN_UV, surface.resolution
+    if len(surface) <= count:
+        return high
+    fewest = len(thinned(surface, low)[0])
+    if count < fewest:
+        raise WrongValue(f"gaussians={count}: this avatar has {fewest} to {len(surface)}")
+    while high - low > 1:  # `low` keeps few enough, `high` keeps more
+        middle = (low + high) // 2
+        low, high = (middle, high) if len(thinned(surface, middle)[0]) <= count else (low, middle)
+    return low

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import Faults, UserError, did_you_mean
+from ..errors import Faults, MissingFile, UserError, WrongValue, cannot_read, did_you_mean
 from ..values.camera import Camera
 
 FIELDS = ("width", "height", "fx", "fy", "cx", "cy", "world_to_camera")
@@ -27,9 +27,9 @@ def read_cameras(path: str | os.PathLike, fault: Callable[[str], None] | None = 
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise UserError(f"camera file {path} does not exist") from None
+        raise MissingFile(f"camera file {path} does not exist") from None
     except OSError as error:
-        raise UserError(f"camera file {path} cannot be read: {error.strerror}") from None
+        raise cannot_read(f"camera file {path}", error) from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise UserError(f"{path} is not valid JSON: {error}") from None
     if isinstance(values, dict) and "world_to_camera" in values:
@@ -52,13 +52,13 @@ def read_camera(source: str) -> Camera:
     """The camera `FILE.json:NAME`, or the only or first one of `FILE.json`."""
     match = re.fullmatch(r"(.+?\.json)(?::(.+))?", source, re.IGNORECASE)
     if match is None:
-        raise UserError(f"camera '{source}' is not of the form FILE.json or FILE.json:NAME")
+        raise WrongValue(f"camera '{source}' is not of the form FILE.json or FILE.json:NAME")
     path, name = match.groups()
     cameras = read_cameras(path)
     if name is None:
         return next(iter(cameras.values()))
     if name not in cameras:
-        raise UserError(f"{path} has no camera '{name}': {did_you_mean(name, cameras)}")
+        raise WrongValue(f"{path} has no camera '{name}': {did_you_mean(name, cameras)}")
     return cameras[name]
 
 

@@ -8,7 +8,7 @@ import zlib
 
 import numpy as np
 
-from ..errors import UserError
+from ..errors import MissingFile, UserError
 from ..values.surface import Surface
 from .files import atomic
 
@@ -25,7 +25,7 @@ def load_surface(path: str | os.PathLike) -> Surface:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = dict(file)
     except FileNotFoundError:
-        raise UserError(f"{path}: no such file; export the surface first") from None
+        raise MissingFile(f"{path}: no such file; export the surface first") from None
     # what NumPy raises for a damaged archive depends on where the damage lies; AttributeError and TypeError mean .npy
     except (
         OSError,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ..components import Component, Registry
-from ..errors import UserError, did_you_mean
+from ..errors import MissingFile, UserError, WrongValue, did_you_mean
 from ..plugins import load_entry_points
 from ..values.motion import Motion
 
@@ -43,12 +43,14 @@ def read_motion(source: str | Path, **options: Any) -> Motion:
         load_entry_points()
         component = _find(source)
     if component is None:
-        raise UserError(_unknown(str(source)))
+        raise WrongValue(_unknown(str(source)))
     if not _suffixes(component):
         return MOTIONS.build(component.name, options).load()
     path = Path(source)
-    if not path.is_file():
-        raise UserError(f"motion file {path} {'is a directory' if path.is_dir() else 'does not exist'}")
+    if path.is_dir():
+        raise UserError(f"motion file {path} is a directory")
+    if not path.exists():
+        raise MissingFile(f"motion file {path} does not exist")
     return MOTIONS.build(component.name, options, path=path).load()
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..avatar.played import PlayedAvatar
+from ..errors import WrongValue
 from ..values.camera import Camera
 from ..values.gaussians import Gaussians, Rendering
 from .choice import build_rasterizer
@@ -22,7 +23,7 @@ class Renderer:
     built with the switches in the manifest of the avatar's bundle; or a `Rasterizer`, used as it is. options, threads:
     of the one that is built (`choice.build_rasterizer`).
     The arrays of what it returns are filled again by later calls: copy what is to be kept.
-    Raises UserError for an unknown name or option, ValueError for options of a rasterizer that is already built.
+    Raises UserError for an unknown name or option, and for options of a rasterizer that is already built.
     """
 
     def __init__(
@@ -37,7 +38,7 @@ class Renderer:
             trained = avatar.bundle.manifest.rasterizer
             rasterizer = build_rasterizer(rasterizer, options, threads=threads, trained=trained)
         elif options or threads is not None:
-            raise ValueError(f"{type(rasterizer).__name__} is built already: options and threads belong to its making")
+            raise WrongValue(f"{type(rasterizer).__name__} is built already: options and threads belong to its making")
         self.avatar = avatar
         self.rasterizer: Rasterizer = rasterizer
 

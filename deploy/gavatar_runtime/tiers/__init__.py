@@ -23,7 +23,7 @@ from ..values.surface import Surface
 from .members import ArrayMember
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
 class Parts:
     """What a tier is made from. surface: of all Gaussians that the bundle holds. map_surface: of the positional map,
     None if static. threads: that decode, None for one a core. chosen: which N of the Gaussians are wanted, None for

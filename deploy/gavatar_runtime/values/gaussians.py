@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
 class Gaussians:
     """N Gaussians in the world. Arrays are NumPy in the player and torch tensors in training, all of one dtype.
 
@@ -34,7 +34,7 @@ class Gaussians:
         return Gaussians(**{name: None if a is None else np.array(a) for name, a in arrays.items()})
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
 class Rendering:
     """What a rasterizer returns, arrays of the same kind as the Gaussians.
 

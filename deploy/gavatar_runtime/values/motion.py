@@ -11,7 +11,7 @@ import numpy as np
 from ..geometry.rotations import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class HandParameters:
     """Hand poses that only a body model's own hand data turns into rotations (`body.Hands.pose`).
 
@@ -24,7 +24,7 @@ class HandParameters:
     relative: bool = True
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
 class Motion:
     """T frames of a skeleton of J joints.
 

@@ -276,7 +276,7 @@ def test_errors_of_hands_and_jaw_are_apart_and_count_only_where_the_truth_moves_
     off.poses[:, names.index("jaw"), 0] += np.radians(12)
     off.poses[:, names.index("left_shoulder"), 1] += 0.5  # counts with the body
     assert part_errors(run.built, off, truth, frames).jaw_deg == pytest.approx(12, abs=1e-3)
-    off.poses = truth.poses.copy()
+    off = dataclasses.replace(truth, poses=truth.poses.copy())
     off.poses[:, names.index("left_index2"), 2] += np.pi / 2
     errors = part_errors(run.built, off, truth, frames)
     joints = run.built.body.data.shaped(run.built.betas)[1]

@@ -62,7 +62,7 @@ def test_the_border_of_the_image(target):
     ]
     rng = np.random.default_rng(0)
     scene = gaussians(means, rng.uniform(0.005, 0.4, len(means)), rng.random((len(means), 3)))
-    scene.opacities = rng.uniform(0.05, 0.7, len(means))
+    scene = dataclasses.replace(scene, opacities=rng.uniform(0.05, 0.7, len(means)))
     check(target, scene, camera)
 
 
@@ -114,7 +114,7 @@ def test_flat_thin_and_vanishing_ellipsoids(target, axes):
 @every
 def test_opacities_about_the_least_that_is_drawn(target, opacity):
     scene = random_scene(5, 40)
-    scene.opacities = np.full(40, opacity)
+    scene = dataclasses.replace(scene, opacities=np.full(40, opacity))
     check(target, scene, simple_camera(48, 40))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import reference_gradients
@@ -90,7 +92,7 @@ def smooth_scene(isotropic: bool) -> tuple[Gaussians, object]:
     scales = rng.uniform(0.9, 1.2, 4 if isotropic else (4, 3))
     scene = Gaussians(means, scales, rng.random((4, 3)), rng.uniform(0.3, 0.6, 4))
     if not isotropic:
-        scene.quaternions = rng.normal(size=(4, 4))
+        scene = dataclasses.replace(scene, quaternions=rng.normal(size=(4, 4)))
     camera = simple_camera(6, 5, 9.0, fy=8.0, cx=2.0, T_camera_world=look_at((0.2, 0.1, -0.1), (0, 0, 2)))
     return scene, camera
 

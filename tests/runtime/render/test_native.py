@@ -215,7 +215,7 @@ def test_backfaces_are_left_out_only_where_there_are_normals_and_a_switch():
         Player(NativeConfig(backface=0.3)).render(scene, camera).color.copy(), Player().render(seen, camera).color
     )
     exact = Player().render(scene, camera).color.copy()
-    scene.normals = None
+    scene = dataclasses.replace(scene, normals=None)
     np.testing.assert_array_equal(Player(NativeConfig(backface=0.3)).render(scene, camera).color, exact)
 
 
@@ -472,7 +472,7 @@ def test_a_bad_value_drops_its_gaussian_and_nothing_else(field, value):
 
 def test_shapes_that_do_not_belong_together_are_refused():
     scene = as_numpy(random_scene(0, 10))
-    scene.colors = scene.colors[:9]
+    scene = dataclasses.replace(scene, colors=scene.colors[:9])
     with pytest.raises(ValueError, match=r"gaussians\.colors"):
         Player().render(scene, simple_camera(8, 8))
     with pytest.raises(ValueError, match=r"gaussians\.colors"):
@@ -519,7 +519,7 @@ def test_frames_return_to_the_rasterizer():
 def test_arrays_need_not_be_contiguous():
     scene, camera = as_torch(random_scene(0, 50)), simple_camera(40, 40)
     plain = Trainer()(scene, camera).color
-    scene.means = scene.means.T.contiguous().T
+    scene = dataclasses.replace(scene, means=scene.means.T.contiguous().T)
     assert not scene.means.is_contiguous()
     torch.testing.assert_close(Trainer()(scene, camera).color, plain, rtol=0, atol=0)
 

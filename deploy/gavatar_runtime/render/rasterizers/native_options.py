@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Iterable
 
 from ... import native_library as nl
-from ...errors import UserError
+from ...errors import WrongValue
 from ...values.camera import Camera
 from .rules import TRANSMITTANCE_STOP
 
@@ -25,7 +25,7 @@ class NativeOptions:
     of its 32x32 tile. resolution: below 1, draw at so large a part of width and height, then upsample linearly.
     antialiased: opacities times sqrt(det S / det(S + low-pass)), S the 2D covariance (Mip-Splatting, Yu et al. 2024,
     section 4.2, as in gsplat): small Gaussians do not grow brighter with distance. An avatar trained with it wants it.
-    Raises UserError where one is out of its range.
+    Raises WrongValue where one is out of its range.
     """
 
     threads: int = 0
@@ -37,11 +37,11 @@ class NativeOptions:
 
     def __post_init__(self):
         if not 0 <= self.backface < 1:
-            raise UserError(f"rasterizer.backface must be a cosine in [0, 1), 0 for off, got {self.backface}")
+            raise WrongValue(f"rasterizer.backface must be a cosine in [0, 1), 0 for off, got {self.backface}")
         if not 0 <= self.depth_cut < 1e30:
-            raise UserError(f"rasterizer.depth_cut must be metres, 0 for off, got {self.depth_cut}")
+            raise WrongValue(f"rasterizer.depth_cut must be metres, 0 for off, got {self.depth_cut}")
         if not 0 < self.resolution <= 1:
-            raise UserError(f"rasterizer.resolution must be in (0, 1], 1 for off, got {self.resolution}")
+            raise WrongValue(f"rasterizer.resolution must be in (0, 1], 1 for off, got {self.resolution}")
 
     def struct(self, background: Iterable[float], *, keep: bool = False) -> nl.OptionsStruct:
         """The options of one forward. background: (3,) in [0, 1]. keep: leave in the frame what a backward needs."""

@@ -18,7 +18,7 @@ TILE = 8  # pixels; small tiles waste few pairs of pixel and Gaussian
 CHUNK = 64  # Gaussians blended at once, so that a saturated tile stops early
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
 class Splats:
     """Gaussians on the image, in (float32 depth, index) order. center: (M, 2) px. conic: (M, 3) inverse covariance
     xx, xy, yy. extent: (M, 2) px half-sides of the box of {alpha >= ALPHA_MIN}. depth, opacity: (M,). color: (M, 3).

@@ -1,0 +1,191 @@
+"""An avatar as a program sees it: what `import gavatar_runtime` offers."""
+
+from __future__ import annotations
+
+import functools
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .avatar import playing
+from .avatar.poses import joint_rows, numbers, pose_of_parts
+from .bundle import Bundle, read_bundle
+from .decoding.detail import uv_for_count
+from .errors import WrongValue
+from .motions.builtin import relaxed_pose
+from .play.performance import PlayReport, perform
+from .play.staging import View
+from .render.renderer import Renderer
+from .tiers import stored_tiers
+from .values.camera import Camera
+from .values.gaussians import Gaussians
+from .values.motion import Motion
+
+
+def load(
+    path: str | os.PathLike | Bundle,
+    *,
+    tier: str = "",
+    gaussians: int | None = None,
+    uv: int | None = None,
+    threads: int | None = None,
+) -> Avatar:
+    """The avatar in a bundle.
+
+    tier: how its Gaussians are decoded, of those that the bundle holds; '' for the networks as they were trained.
+    gaussians: at most so many of them, each the larger; uv: the same as a side of the atlas; None for all.
+    threads: that decode, None for one a core.
+    Raises UserError for a bundle that is not there, damaged or of a later format, and for what it does not hold.
+    """
+    bundle = path if isinstance(path, Bundle) else read_bundle(path)
+    if gaussians is not None and uv is not None:
+        raise WrongValue("gaussians and uv both choose the level of detail: give one of them")
+    if gaussians is not None:
+        uv = uv_for_count(bundle.surfaces()[0], gaussians)
+    return Avatar(bundle, tier=tier, uv=uv, threads=threads)
+
+
+class Avatar(playing.Avatar):
+    """A person in a bundle, to be posed, drawn, played and saved.
+
+    A frame is given as `pose`, in rows (K, 3) or flat (3 K,), axis-angle of each joint relative to its parent, radians,
+    of the body's own joints or of a skeleton of the SMPL family: 22, 24 (SMPL, 72 numbers), 52 (SMPL-H and AMASS, 156)
+    or 55 (SMPL-X); or in parts as smplx names them, `global_orient=`, `body_pose=`, `left_hand_pose=`, ...
+    (`poses.pose_of_parts`); with neither the person stands at ease. trans, or transl: (3,) metres, added after posing.
+    expression: (E,) coefficients of a body with a face. What moves in a pose that the body lacks is left out with a
+    warning. The world is y-up, in metres; a person who is not turned faces +z.
+
+    tier, uv, threads and more: see `playing.Avatar`. Every method raises UserError for what the caller can mend, most
+    often `WrongValue`, which is a ValueError too.
+    """
+
+    def __repr__(self) -> str:
+        every = self.bundle.manifest.gaussians
+        count = f"{len(self)}" if len(self) == every else f"{len(self)} of {every}"
+        how = "no tier" if self.tier is None else f"tier {self.tier} (stored: {', '.join(self.tiers)})"
+        body = self.bundle.manifest.body.get("model", "unknown")
+        moves = "moves with the pose" if self.dynamic else "one look for all poses"
+        return (
+            f"<Avatar '{self.name}': {count} Gaussians, {how}, body {body} of {len(self.joint_names)} joints, {moves}>"
+        )
+
+    @property
+    def tiers(self) -> tuple[str, ...]:
+        """The tiers that its bundle holds."""
+        return tuple(stored_tiers(self.bundle))
+
+    @functools.cached_property
+    def renderer(self) -> Renderer:
+        """What `render` draws with, the fastest that is there; may be replaced, as by `Renderer(avatar, "numpy")`."""
+        return Renderer(self)
+
+    def gaussians(
+        self,
+        pose: Any = None,
+        trans: Any = None,
+        expression: Any = None,
+        *,
+        camera: Camera | None = None,
+        normals: bool = False,
+        copy: bool = True,
+        **parts: Any,
+    ) -> Gaussians:
+        """The Gaussians of a frame, in the world, float32; see `playing.Avatar.gaussians` for what else is said."""
+        frame = self._frame(pose, trans, expression, parts)
+        return super().gaussians(*frame, camera=camera, normals=normals, copy=copy)
+
+    def render(
+        self,
+        pose: Any = None,
+        camera: str | float | Camera = "front",
+        *,
+        trans: Any = None,
+        expression: Any = None,
+        size: int | None = None,
+        width: int | None = None,
+        height: int | None = None,
+        background: str | Sequence[float] = "white",
+        **parts: Any,
+    ) -> np.ndarray:
+        """(H, W, 3) uint8 sRGB, an image of a frame. (`Renderer.draw` gives floats, alpha and depth.)
+
+        camera: `front`, `left`, `back`, `right` or degrees towards the person's left, which stands level and as far
+        away as holds the person; or a camera of your own. size: pixels of both sides, or width and height; 512, or a
+        camera's own, where none is given. background: a colour's name, `#rrggbb`, or (3,) in [0, 1].
+        """
+        motion = self._still(pose, trans, expression, parts)
+        view = View(size=size, width=width, height=height, camera=camera, background=background)
+        (shot,) = view.cameras(self, motion)
+        gaussians = self.renderer.gaussians(*motion.at(0), camera=shot)
+        return self.renderer.rasterize_uint8(gaussians, shot, view.color).copy()
+
+    def play(
+        self, motion: str | os.PathLike | Motion = "turn", out: str | os.PathLike | None = None, **how: Any
+    ) -> PlayReport:
+        """Play a motion into a file, as `gavatar-play` does: `avatar.play("wave", "wave.mp4", fps=30)`.
+
+        motion: a built-in one by its name, a file, or a `Motion`. out: a video, a sheet of images, frames in a folder,
+        Gaussians in `frames/%06d.ply`, ... by its name; None is a video beside the bundle. how: see
+        `play.performance.perform`. Returns what was played, and what each stage of it took.
+        """
+        return perform(self, motion, out, **how)
+
+    def save(
+        self,
+        path: str | os.PathLike,
+        pose: Any = None,
+        *,
+        trans: Any = None,
+        expression: Any = None,
+        output: str | None = None,
+        output_options: Mapping[str, Any] | None = None,
+        **parts: Any,
+    ) -> None:
+        """Write a frame to a file, by its suffix: `.ply` and its like hold the Gaussians, `.png` an image.
+
+        output, output_options: the name of an output where the suffix does not tell, and options of its own.
+        """
+        motion = self._still(pose, trans, expression, parts)
+        report = perform(self, motion, path, output=output, output_options=output_options)
+        for note in report.notes:
+            warnings.warn(note, stacklevel=2)
+
+    def _still(self, pose: Any, trans: Any, expression: Any, parts: dict[str, Any]) -> Motion:
+        """One frame as a motion that fits the body."""
+        pose, trans, expression = self._frame(pose, trans, expression, parts)
+        pose, trans = self._standing(pose, trans)
+        coefficients = self._coefficients(expression)
+        rows = None if coefficients is None else coefficients[None]
+        return Motion(pose[None], trans[None], 1.0, name="pose", expression=rows)
+
+    def _frame(
+        self, pose: Any, trans: Any, expression: Any, parts: dict[str, Any]
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+        """Pose (J, 3), translation and expression as `playing.Avatar.gaussians` takes them."""
+        if "transl" in parts:
+            if trans is not None:
+                raise WrongValue("trans and transl are the same: give one of them")
+            trans = parts.pop("transl")
+        if pose is not None and parts:
+            raise WrongValue(f"a pose was given whole, and {', '.join(parts)} beside it: leave one of them out")
+        if parts:
+            pose, lacking = pose_of_parts(parts, self.body)
+        elif pose is None:
+            pose, lacking = self._fitted(relaxed_pose())[0], ()
+        else:
+            pose, lacking = self._fitted(joint_rows(pose, self.joint_names))
+        if lacking:
+            warnings.warn(f"the body has no {', '.join(lacking)}: what the pose does there is left out", stacklevel=3)
+        given = [None if v is None else numbers(n, v) for n, v in (("trans", trans), ("expression", expression))]
+        trans, expression = (None if array is None else array.reshape(-1) for array in given)
+        return pose, trans, expression
+
+    def _fitted(self, rows: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+        """(J, 3) of rows of any skeleton, and what moves in them that the body lacks."""
+        if len(rows) == len(self.joint_names):
+            return rows, ()
+        motion, lacking = self.fit(Motion(rows[None].astype(np.float32), np.zeros((1, 3), np.float32), 1.0))
+        return motion.poses[0], lacking
