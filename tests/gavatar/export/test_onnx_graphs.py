@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from gavatar.avatar.uv_sampling import bilinear, sample_uv
-from gavatar.export.onnx_graphs import subpixel
+from gavatar.export.onnx_graphs import fold_batchnorm, subpixel
 
 
 def test_a_pixel_shuffle_is_the_transposed_convolution():
@@ -29,3 +29,19 @@ def test_four_gathered_texels_are_the_bilinear_sample():
     texels = maps.reshape(3, -1).T.numpy()
     got = (texels[corner] * weight[..., None]).sum(1)
     np.testing.assert_allclose(got, sample_uv(maps, torch.from_numpy(uv))[0].numpy(), atol=1e-5)
+
+
+def test_folding_batchnorm_changes_nothing_that_is_evaluated():
+    torch.manual_seed(0)
+    up = nn.ConvTranspose2d(4, 5, 4, 2, 1)
+    conv = nn.Sequential(nn.Conv2d(3, 4, 3), nn.BatchNorm2d(4), nn.ReLU(), up, nn.BatchNorm2d(5, affine=False))
+    linear = nn.Sequential(nn.Linear(3, 4), nn.BatchNorm1d(4), nn.Softplus())
+    for net, x in ((conv, torch.randn(2, 3, 8, 8)), (linear, torch.randn(9, 3))):
+        for _ in range(3):
+            net(x * 2 + 1)  # running statistics away from their start
+        net.eval()
+        folded = fold_batchnorm(net)
+        assert not any(isinstance(m, (nn.BatchNorm1d, nn.BatchNorm2d)) for m in folded.modules())
+        # a product of float32 numbers taken in another order
+        assert torch.allclose(folded(x), net(x), atol=1e-5)
+        assert any(isinstance(m, (nn.BatchNorm1d, nn.BatchNorm2d)) for m in net.modules())
