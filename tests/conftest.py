@@ -1,10 +1,14 @@
-"""Fixtures that tests of several rooms share: a hardly trained avatar whose look depends on the pose, and its bundles.
+"""Fixtures that tests of several rooms share: a hardly trained avatar whose look depends on the pose, its bundles, and
+plugins that come and go.
 
 What they need is imported when they are asked for, so that tests of the player alone load no torch.
 """
 
 from __future__ import annotations
 
+import importlib.metadata
+import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -57,3 +61,28 @@ def fine_bundle(tiered_run, tmp_path_factory):
         export(tiered_run, folder / "fine.gavatar", uv=96, tiers=["int8", "blendshape"])
 
     return read_bundle(made_once(tmp_path_factory, "fine_bundle", make) / "fine.gavatar")
+
+
+@pytest.fixture
+def plugin_modules(tmp_path, monkeypatch):
+    """Write modules into an importable folder and announce them as entry points: {module: source}."""
+    from gavatar import registry as registries
+
+    def install(sources: dict[str, str]) -> None:
+        for name, source in sources.items():
+            (tmp_path / f"{name}.py").write_text(textwrap.dedent(source))
+        points = [importlib.metadata.EntryPoint(name, name, registries.ENTRY_POINT_GROUP) for name in sources]
+        monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: points)
+
+    monkeypatch.syspath_prepend(str(tmp_path))
+    registries.load_plugins()  # the real ones, so that only what `install` adds is new
+    monkeypatch.setattr(registries, "PLUGIN_ROOMS", ())
+    registries.load_plugins.cache_clear()
+    before = {registry: registry.names() for registry in registries.REGISTRIES}
+    yield install
+    for registry, names in before.items():
+        for added in set(registry.names()) - set(names):
+            registry.forget(added)
+    registries.load_plugins.cache_clear()
+    for name in [n for n, m in sys.modules.items() if str(getattr(m, "__file__", "")).startswith(str(tmp_path))]:
+        del sys.modules[name]
