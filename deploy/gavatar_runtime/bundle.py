@@ -52,11 +52,11 @@ class Manifest:
     name: the avatar's. gaussians: N. dynamic: whether the look depends on the pose, so that encoder.onnx is there.
     body: at least `model` (the body component) and `joints` (J). components: registry names of encoder and decoder, and
     `encoder_inputs`. opset: of the ONNX members. license: of the avatar, as the capture states it. training: a summary
-    (capture, losses, steps, metrics). rasterizer: the switches of `rasterizers.SWITCHES` that the avatar was trained
-    with, and is played with therefore. export_check: the exported model's errors against the one that was trained, with
-    their units. tiers: descriptions of cheaper members with their measured error and cost. members: SHA-256 by file
-    name, filled by `write_bundle`. extra: fields of the same format version that this program does not know; they
-    survive a rewrite.
+    (capture, losses, steps, metrics). rasterizer: options that change the picture, which the avatar was trained with
+    and is played with therefore. export_check: the exported model's errors against the one that was trained, with their
+    units. tiers: descriptions of cheaper members with their measured error and cost. members: SHA-256 by file name,
+    filled by `write_bundle`. extra: fields of the same format version that this program does not know; they survive a
+    rewrite.
     """
 
     name: str
