@@ -23,7 +23,7 @@ import os
 import re
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -231,11 +231,11 @@ def pack_surfaces(gaussians: Surface, encoder_map: Surface | None = None, map_no
 
 
 def pack_body(
-    joint_names,
+    joint_names: Sequence[str],
     parents: np.ndarray,
     joints: np.ndarray,
     betas: np.ndarray | None = None,
-    rest_pose=None,
+    rest_pose: np.ndarray | None = None,
     hands: Hands | None = None,
 ) -> bytes:
     """body.npz: joint_names (J,), parents (J,), joints (J, 3) rest joints of the trained shape, metres, betas (B,), and

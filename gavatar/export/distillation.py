@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -48,7 +49,7 @@ def distil(
     mean = source.mean(coarse)
     residuals = np.empty((len(poses), len(coarse), 7), np.float32)
 
-    def decoded(chosen: np.ndarray, label: str):
+    def decoded(chosen: np.ndarray, label: str) -> Iterator[np.ndarray]:
         bar = tqdm(chosen, desc=label, unit="pose", disable=not source.progress, leave=False)
         return ((source.decode(pose, coarse) - mean) * weight for pose in bar)
 
@@ -122,7 +123,9 @@ def bases_by_part(residuals: np.ndarray, part: np.ndarray, rank: int) -> tuple[n
     return coefficients.reshape(poses, -1), bases
 
 
-def _mixing(coarse: Surface, fine: Surface, joint: np.ndarray, fine_joint: np.ndarray, owners: np.ndarray):
+def _mixing(
+    coarse: Surface, fine: Surface, joint: np.ndarray, fine_joint: np.ndarray, owners: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Part (N,) of each fine point, numbers (N, 4) and weights (N, 4) of the coarse points that it takes bases from."""
     index, mixing = upsampling(coarse, fine)
     # a joint that carries no coarse point has no bases: its points stay still, whatever part they are counted to
@@ -190,7 +193,9 @@ def _principal(rows: np.ndarray, rank: int) -> tuple[np.ndarray, np.ndarray]:
     return vectors * scale, (vectors / scale).T @ rows
 
 
-def _quantise(bases, index, mixing, part, parts) -> tuple[np.ndarray, np.ndarray]:
+def _quantise(
+    bases: np.ndarray, index: np.ndarray, mixing: np.ndarray, part: np.ndarray, parts: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Bases (M, K, 7) upsampled to (N, K / 4, 8, 4) int8 (`residuals.grouped`) and their steps (P, 8), one a part
     and channel."""
     count, rank = len(index), bases.shape[1]
@@ -206,7 +211,9 @@ def _quantise(bases, index, mixing, part, parts) -> tuple[np.ndarray, np.ndarray
     return grouped(result), np.concatenate([gains, np.zeros((parts, 1), np.float32)], 1)
 
 
-def _fit_network(inputs, targets, real: int, width: int, steps: int, progress: bool):
+def _fit_network(
+    inputs: np.ndarray, targets: np.ndarray, real: int, width: int, steps: int, progress: bool
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Layers (weight (in, out), bias) from pose inputs (S, D) to coefficients (S, C), least squares in their own units:
     the bases are orthonormal, so that is the error of the residuals. The first `real` samples count four times."""
     generator = torch.Generator().manual_seed(0)
