@@ -28,7 +28,19 @@ from .losses import Loss
 if TYPE_CHECKING:
     import onnx
 
-__all__ = ["Body", "CaptureReader", "Decoder", "Encoder", "Loss", "Rasterizer", "TierBuilder", "TierSource"]
+Background = Tensor | Sequence[float]  # (3,) in [0, 1]
+
+__all__ = [
+    "Background",
+    "Body",
+    "CaptureReader",
+    "Decoder",
+    "Encoder",
+    "Loss",
+    "Rasterizer",
+    "TierBuilder",
+    "TierSource",
+]
 
 
 class Body(Protocol):
@@ -63,9 +75,7 @@ class Rasterizer(Protocol):
         """Whether `Gaussians.normals` would be of use: an avatar computes them only then."""
         return False
 
-    def __call__(
-        self, gaussians: Gaussians, camera: Camera, background: Tensor | Sequence[float] = (1.0, 1.0, 1.0)
-    ) -> Rendering:
+    def __call__(self, gaussians: Gaussians, camera: Camera, background: Background = (1.0, 1.0, 1.0)) -> Rendering:
         """The frame, as `gavatar_runtime.render.rasterizers.rules` says, in tensors of the Gaussians' dtype and device.
         The fields of the Gaussians are of one floating dtype on one device. background: (3,) in [0, 1]. UserError for
         tensors that it does not draw."""

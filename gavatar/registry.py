@@ -15,6 +15,7 @@ import pkgutil
 import typing
 import warnings
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from gavatar_runtime.components import Component, NoOptions, Registry
@@ -111,7 +112,7 @@ class PluginFailure:
     extra: str = ""
 
 
-def _room(name: str):
+def _room(name: str) -> ModuleType:
     """The package of a room. An editable install knows the rooms of the day it was made: a later one is found beside
     this library."""
     try:

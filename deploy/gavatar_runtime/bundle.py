@@ -23,7 +23,7 @@ import os
 import re
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,11 +52,11 @@ class Manifest:
     name: the avatar's. gaussians: N. dynamic: whether the look depends on the pose, so that encoder.onnx is there.
     body: at least `model` (the body component) and `joints` (J). components: registry names of encoder and decoder, and
     `encoder_inputs`. opset: of the ONNX members. license: of the avatar, as the capture states it. training: a summary
-    (capture, losses, steps, metrics). rasterizer: the switches of `rasterizers.SWITCHES` that the avatar was trained
-    with, and is played with therefore. export_check: the exported model's errors against the one that was trained, with
-    their units. tiers: descriptions of cheaper members with their measured error and cost. members: SHA-256 by file
-    name, filled by `write_bundle`. extra: fields of the same format version that this program does not know; they
-    survive a rewrite.
+    (capture, losses, steps, metrics). rasterizer: options that change the picture, which the avatar was trained with
+    and is played with therefore. export_check: the exported model's errors against the one that was trained, with their
+    units. tiers: descriptions of cheaper members with their measured error and cost. members: SHA-256 by file name,
+    filled by `write_bundle`. extra: fields of the same format version that this program does not know; they survive a
+    rewrite.
     """
 
     name: str
@@ -231,11 +231,11 @@ def pack_surfaces(gaussians: Surface, encoder_map: Surface | None = None, map_no
 
 
 def pack_body(
-    joint_names,
+    joint_names: Sequence[str],
     parents: np.ndarray,
     joints: np.ndarray,
     betas: np.ndarray | None = None,
-    rest_pose=None,
+    rest_pose: np.ndarray | None = None,
     hands: Hands | None = None,
 ) -> bytes:
     """body.npz: joint_names (J,), parents (J,), joints (J, 3) rest joints of the trained shape, metres, betas (B,), and

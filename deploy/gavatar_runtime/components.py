@@ -41,7 +41,7 @@ class Component(Generic[T]):
     name: key in the registry and in overrides. factory: the class or function. config: its dataclass of options.
     summary: one line for `gavatar-list`. origin: the module that registered it. needs: what must be installed or
     supplied beyond the package ('' if nothing). missing: says why it cannot be had here, '' if it can. traits: from
-    its filled options to what it can with them.
+    its filled options to what it can with them. default: it is the one that is taken where none is asked for.
     """
 
     name: str
@@ -52,6 +52,7 @@ class Component(Generic[T]):
     needs: str = ""
     missing: Callable[[], str] = str
     traits: Callable[[Any], Any] = lambda options: NoTraits()
+    default: bool = False
 
     @property
     def default_traits(self) -> Any | None:
@@ -71,7 +72,6 @@ class Registry(Generic[T]):
     def __init__(self, group: str, traits: type = NoTraits):
         self.group, self._traits = group, traits
         self._components: dict[str, Component[T]] = {}
-        self._default = ""
 
     def register(
         self,
@@ -91,8 +91,9 @@ class Registry(Generic[T]):
         """
         if not dataclasses.is_dataclass(config):
             raise TypeError(f"{self.group} '{name}': config must be a dataclass, got {config!r}")
-        if default and self._default not in ("", name):
-            raise ValueError(f"{self.group} '{name}' cannot be the default: that is '{self._default}'")
+        others = [c.name for c in self if c.default and c.name != name]
+        if default and others:
+            raise ValueError(f"{self.group} '{name}' cannot be the default: that is '{others[0]}'")
         can = self._as_function(name, traits)
 
         def decorate(factory: Callable[..., T]) -> Callable[..., T]:
@@ -103,10 +104,16 @@ class Registry(Generic[T]):
                 )
             doc = (factory.__doc__ or "").strip().splitlines()
             self._components[name] = Component(
-                name, factory, config, summary or (doc[0] if doc else ""), factory.__module__, needs, missing, can
+                name,
+                factory,
+                config,
+                summary or (doc[0] if doc else ""),
+                factory.__module__,
+                needs,
+                missing,
+                can,
+                default,
             )
-            if default:
-                self._default = name
             return factory
 
         return decorate
@@ -115,7 +122,7 @@ class Registry(Generic[T]):
         """The traits of `register` as a function of options."""
         if callable(traits):
             return traits
-        given = self._traits() if traits is None else traits
+        given = self.usual_traits if traits is None else traits
         if not isinstance(given, self._traits):
             raise TypeError(f"{self.group} '{name}': traits must be {self._traits.__name__}, got {traits!r}")
         return lambda options: given
@@ -123,7 +130,6 @@ class Registry(Generic[T]):
     def forget(self, name: str) -> None:
         """Take component `name` out again, if it is there."""
         self._components.pop(name, None)
-        self._default = "" if name == self._default else self._default
 
     def __iter__(self) -> Iterator[Component[T]]:
         return iter(sorted(self._components.values(), key=lambda c: c.name))
@@ -146,9 +152,15 @@ class Registry(Generic[T]):
     @property
     def default(self) -> str:
         """The name of the component that is taken where none is asked for; WrongValue where there is no such one."""
-        if not self._default:
-            raise WrongValue(f"no {self.group} is the default: name one, {did_you_mean('', self._components)}")
-        return self._default
+        for component in self:
+            if component.default:
+                return component.name
+        raise WrongValue(f"no {self.group} is the default: name one, {did_you_mean('', self._components)}")
+
+    @property
+    def usual_traits(self) -> Any:
+        """What a component can that says nothing else."""
+        return self._traits()
 
     def __getitem__(self, name: str) -> Component[T]:
         """The component called `name`; WrongValue with the choices and the nearest match if there is none."""

@@ -81,10 +81,12 @@ def describe(component: Component) -> dict[str, Any]:
     return {
         "name": component.name,
         "summary": component.summary,
+        "default": component.default,
         "origin": component.origin,
         "distribution": distribution_of(component.origin),
         "needs": component.needs,
         "missing": component.missing(),
+        "traits": {} if component.default_traits is None else dataclasses.asdict(component.default_traits),
         "options": option_rows(component.config),
     }
 
@@ -101,6 +103,8 @@ def catalogue(group: str | None) -> dict[str, list[dict[str, Any]]]:
 
 def _print_group(group: str, rows: list[dict[str, Any]]) -> None:
     print(group)
+    (registry,) = (registry for registry in REGISTRIES if registry.group == group)
+    usual = dataclasses.asdict(registry.usual_traits)
     width = max((len(row["name"]) for row in rows), default=0)
     for row in rows:
         origin = ", ".join(filter(None, (row["origin"], row["distribution"])))
@@ -110,6 +114,10 @@ def _print_group(group: str, rows: list[dict[str, Any]]) -> None:
             print(f"  {'':{width}}  needs {row['needs']}")
         if row["missing"]:
             print(f"  {'':{width}}  not here: {row['missing']}")
+        said = [f"{name}={value!r}" for name, value in row["traits"].items() if value != usual[name]]
+        said += ["taken where no other is asked for"] if row["default"] else []
+        if said:
+            print(f"  {'':{width}}  {', '.join(said)}")
         options = [
             f"{o['name']}: {o['type']}" + (", required" if o["required"] else f" = {o['default']!r}")
             for o in row["options"]

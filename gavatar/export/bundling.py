@@ -139,7 +139,7 @@ def with_needs(names: Sequence[str], run: Run) -> list[str]:
 def sample(run: Run, uv: int | None = None) -> Sampled:
     """The run on the points of an atlas of side `uv`, by default the one it was trained at."""
     uv = run.uv if uv is None else uv
-    return Sampled(_on(dataclasses.replace(run, uv=uv), run.built.surface(uv)))
+    return Sampled(placed(dataclasses.replace(run, uv=uv), run.built.surface(uv)))
 
 
 def drop(sampled: Sampled, progress: bool = False) -> Sampled:
@@ -147,10 +147,10 @@ def drop(sampled: Sampled, progress: bool = False) -> Sampled:
     run = sampled.run
     kept = seen(run, progress=progress)
     unseen = {"dropped": int((~kept).sum()), **difference(run, kept)}
-    return Sampled(_on(run, run.avatar.surface.take(np.flatnonzero(kept))), unseen)
+    return Sampled(placed(run, run.avatar.surface.take(np.flatnonzero(kept))), unseen)
 
 
-def _on(run: Run, surface: Surface) -> Run:
+def placed(run: Run, surface: Surface) -> Run:
     """The run, its avatar on the points of `surface`; the run given keeps its own."""
     return dataclasses.replace(run, built=dataclasses.replace(run.built, avatar=run.avatar.sampled(surface)))
 

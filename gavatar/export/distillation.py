@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -23,6 +24,7 @@ from ..protocols import TierSource
 from .tier_source import joint_of_points, upsampling
 
 LENGTH_WEIGHT = 20.0  # per metre: 5 mm, about a pixel of a person 400 pixels tall, count as a tenth of the colour range
+WEIGHT = np.array([LENGTH_WEIGHT] * 3 + [1.0] * 3 + [LENGTH_WEIGHT], np.float32)  # of offset, colour and scale
 PROTOTYPES = 128  # of the capture's poses, that the distance of another is taken from
 FADE = (0.4, 1.5)  # distances, of rotation matrices' entries, between which residuals fade into the still look: below,
 # they are closer to the full model than it is; above, as far (docs/lab/tiers.md)
@@ -42,55 +44,70 @@ def distil(
     what weights of these come closest to the full model there, where else it would guess.
     """
     rank = -(-rank // 4) * 4
-    coarse = source.surface_at(min(uv, source.surface.resolution))
-    real, poses = len(source.train_poses), np.concatenate([source.train_poses, source.random_poses(samples)])
-    weight = np.array([LENGTH_WEIGHT] * 3 + [1.0] * 3 + [LENGTH_WEIGHT], np.float32)
-    mean = source.mean(coarse)
-    residuals = np.empty((len(poses), len(coarse), 7), np.float32)
-
-    def decoded(chosen: np.ndarray, label: str):
-        bar = tqdm(chosen, desc=label, unit="pose", disable=not source.progress, leave=False)
-        return ((source.decode(pose, coarse) - mean) * weight for pose in bar)
-
-    for row, residual in zip(residuals, decoded(poses, "distilling poses"), strict=True):
-        row[:] = residual
+    residuals = _Residuals(source, source.surface_at(min(uv, source.surface.resolution)))
+    coarse, poses = residuals.surface, np.concatenate([source.train_poses, source.random_poses(samples)])
     # numbered on the coarse surface, which is the whole body: the fine one may lack parts that no camera saw
     joint, fine_joint = joint_of_points(coarse), joint_of_points(source.surface)
     owners, part = np.unique(joint, return_inverse=True)
-    coefficients, bases = bases_by_part(residuals, part, rank)
-    del residuals
-
-    def projected(residual: np.ndarray) -> np.ndarray:
-        return np.concatenate(
-            [np.einsum("nkc,nc->k", bases[part == p], residual[part == p]) for p in range(len(owners))]
-        )
-
+    coefficients, bases = bases_by_part(residuals.stacked(poses), part, rank)
     further = source.wide_poses(wide)
-    flat = [projected(residual) for residual in decoded(further, "distilling far poses")]
+    flat = [_coefficients(residual, bases, part) for residual in residuals.of(further, "distilling far poses")]
     flat = np.concatenate([coefficients, np.reshape(flat, (len(further), -1)).astype(np.float32)])
     # the root's rotation matters where the look depends on where the person faces
     facing = "normal_map" in encoder_inputs(source.avatar.encoder)
     body = _Body(np.asarray(coarse.parents), owners, np.arange(0 if facing else 1, SMPL_BODY_JOINTS))
-    arrays = _fit(np.concatenate([poses, further]), flat, real, body, facing, width, steps, source.progress)
+    real, every = len(source.train_poses), np.concatenate([poses, further])
+    arrays = _fit(every, flat, real, body, facing, width, steps, source.progress)
     fine_part, index, mixing = _mixing(coarse, source.surface, joint, fine_joint, owners)
     ratio = np.median(source.surface.spacing) / np.median(coarse.spacing)
-    unit = (1 / weight) * np.array([1] * 6 + [ratio], np.float32)
+    unit = (1 / WEIGHT) * np.array([1] * 6 + [ratio], np.float32)
     quantised, gains = _quantise(bases * unit, index, mixing, fine_part, len(owners))
     arrays |= {"part": fine_part, "basis": quantised, "gains": gains}
-    fading = {
-        "seen": pose_input(source.train_poses, body.joints)[evenly_spaced(real, PROTOTYPES)].astype(np.float16),
-        "near": body.near,
-        "fade": np.array(FADE, np.float32),
-    }
     judged = source.wide_poses(JUDGED, seed=1)
-    wanted = [projected(residual) for residual in decoded(judged, "judging the fade")]
+    wanted = [_coefficients(residual, bases, part) for residual in residuals.of(judged, "judging the fade")]
+    arrays = _faded(arrays, source.train_poses, body, judged, wanted)
+    return {k: v.astype(np.float32) if v.dtype == np.float64 else v for k, v in arrays.items()}
+
+
+class _Residuals:
+    """What poses change of the still look on a coarse surface, (M, 7) each, in units of what the eye sees alike."""
+
+    def __init__(self, source: TierSource, surface: Surface):
+        self.source, self.surface = source, surface
+        self._mean = source.mean(surface)
+
+    def of(self, poses: np.ndarray, label: str) -> Iterator[np.ndarray]:
+        """One after the other. label: of the bar."""
+        bar = tqdm(poses, desc=label, unit="pose", disable=not self.source.progress, leave=False)
+        return ((self.source.decode(pose, self.surface) - self._mean) * WEIGHT for pose in bar)
+
+    def stacked(self, poses: np.ndarray) -> np.ndarray:
+        """(S, M, 7) float32."""
+        rows = np.empty((len(poses), len(self.surface), 7), np.float32)
+        for row, residual in zip(rows, self.of(poses, "distilling poses"), strict=True):
+            row[:] = residual
+        return rows
+
+
+def _coefficients(residual: np.ndarray, bases: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """(P x K,) weights of the bases (M, K, 7) that come closest to a residual (M, 7), part by part."""
+    parts = range(int(part.max()) + 1)
+    return np.concatenate([np.einsum("nkc,nc->k", bases[part == p], residual[part == p]) for p in parts])
+
+
+def _faded(
+    arrays: dict[str, np.ndarray], filmed: np.ndarray, body: _Body, judged: np.ndarray, wanted: list[np.ndarray]
+) -> dict[str, np.ndarray]:
+    """With what lets residuals fade far from the `filmed` poses (F, J, 3), if that comes closer to what is `wanted` of
+    the coefficients in the poses `judged`."""
+    seen = pose_input(filmed, body.joints)[evenly_spaced(len(filmed), PROTOTYPES)].astype(np.float16)
+    fading = arrays | {"seen": seen, "near": body.near, "fade": np.array(FADE, np.float32)}
     errors = [
         sum(np.square(predict(pose).ravel() - target).sum() for pose, target in zip(judged, wanted, strict=True))
-        for predict in (Coefficients(a, body.parents, "distillation") for a in (arrays | fading, arrays))
+        for predict in (Coefficients(a, body.parents, "distillation") for a in (fading, arrays))
     ]
     # the bases are orthonormal: what of a residual lies beyond them is the same for both
-    arrays |= fading if errors[0] <= errors[1] else {}
-    return {k: v.astype(np.float32) if v.dtype == np.float64 else v for k, v in arrays.items()}
+    return fading if errors[0] <= errors[1] else arrays
 
 
 @dataclasses.dataclass
@@ -122,7 +139,9 @@ def bases_by_part(residuals: np.ndarray, part: np.ndarray, rank: int) -> tuple[n
     return coefficients.reshape(poses, -1), bases
 
 
-def _mixing(coarse: Surface, fine: Surface, joint: np.ndarray, fine_joint: np.ndarray, owners: np.ndarray):
+def _mixing(
+    coarse: Surface, fine: Surface, joint: np.ndarray, fine_joint: np.ndarray, owners: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Part (N,) of each fine point, numbers (N, 4) and weights (N, 4) of the coarse points that it takes bases from."""
     index, mixing = upsampling(coarse, fine)
     # a joint that carries no coarse point has no bases: its points stay still, whatever part they are counted to
@@ -190,7 +209,9 @@ def _principal(rows: np.ndarray, rank: int) -> tuple[np.ndarray, np.ndarray]:
     return vectors * scale, (vectors / scale).T @ rows
 
 
-def _quantise(bases, index, mixing, part, parts) -> tuple[np.ndarray, np.ndarray]:
+def _quantise(
+    bases: np.ndarray, index: np.ndarray, mixing: np.ndarray, part: np.ndarray, parts: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Bases (M, K, 7) upsampled to (N, K / 4, 8, 4) int8 (`residuals.grouped`) and their steps (P, 8), one a part
     and channel."""
     count, rank = len(index), bases.shape[1]
@@ -206,7 +227,9 @@ def _quantise(bases, index, mixing, part, parts) -> tuple[np.ndarray, np.ndarray
     return grouped(result), np.concatenate([gains, np.zeros((parts, 1), np.float32)], 1)
 
 
-def _fit_network(inputs, targets, real: int, width: int, steps: int, progress: bool):
+def _fit_network(
+    inputs: np.ndarray, targets: np.ndarray, real: int, width: int, steps: int, progress: bool
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Layers (weight (in, out), bias) from pose inputs (S, D) to coefficients (S, C), least squares in their own units:
     the bases are orthonormal, so that is the error of the residuals. The first `real` samples count four times."""
     generator = torch.Generator().manual_seed(0)

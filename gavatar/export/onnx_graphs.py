@@ -6,7 +6,7 @@ from __future__ import annotations
 import copy
 import io
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import onnx
@@ -25,6 +25,8 @@ from ..avatar.trainable import Avatar
 from ..avatar.uv_sampling import bilinear, sample_uv
 
 OPSET = 18
+# the model of a chunk of rows, its inputs by name, features to add or None -> the model with quantised layers
+Quantize = Callable[[onnx.ModelProto, dict[str, np.ndarray], np.ndarray | None], onnx.ModelProto]
 
 
 def fold_batchnorm(module: nn.Module) -> nn.Module:
@@ -101,7 +103,15 @@ class RowDecoder(nn.Module):
         self.decoder = fold_batchnorm(avatar.decoder)
         self.sampled_constant = sampled_constant
 
-    def forward(self, texels, corner, corner_weight, uv, spacing, constant=None):
+    def forward(
+        self,
+        texels: Tensor,
+        corner: Tensor,
+        corner_weight: Tensor,
+        uv: Tensor,
+        spacing: Tensor,
+        constant: Tensor | None = None,
+    ) -> tuple[Tensor, Tensor, Tensor]:
         sampled = texels[corner[:, 0]] * corner_weight[:, :1]
         for k in range(1, 4):
             sampled = sampled + texels[corner[:, k]] * corner_weight[:, k : k + 1]
@@ -135,7 +145,7 @@ def encoder_model(avatar: Avatar, *, shuffle: bool = False) -> onnx.ModelProto:
     return to_onnx(encoder, example, list(names), [POSE_FEATURES])
 
 
-def decoder_model(avatar: Avatar, surface: Surface | None = None, quantize=None) -> onnx.ModelProto:
+def decoder_model(avatar: Avatar, surface: Surface | None = None, quantize: Quantize | None = None) -> onnx.ModelProto:
     """pose_features -> offsets (N, 3), colors (N, 3), scales (N,) on the points of `surface` (None for the avatar's);
     without input for a static avatar, whose decoder does not depend on the pose and is evaluated here once and for all.
     A second input, `rows` (M,) int32, may be given: then only those points are decoded, in its order, and N is M. (It
@@ -185,7 +195,7 @@ def _scan_model(rows: onnx.ModelProto, scanned: dict, constants: dict, shape: tu
     count = len(next(iter(scanned.values())))
     nodes, initializers = [], []
 
-    def constant(name: str, value) -> str:
+    def constant(name: str, value: np.ndarray) -> str:
         initializers.append(numpy_helper.from_array(np.ascontiguousarray(value), name))
         return name
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import tempfile
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,9 @@ import onnx
 SMALL_OUTPUT = 8  # layers with fewer outputs stay in float32: they cost nothing and their error is the result's
 
 
-def quantized(model: onnx.ModelProto, samples: Iterable[dict[str, np.ndarray]], kinds=("Gemm",)) -> onnx.ModelProto:
+def quantized(
+    model: onnx.ModelProto, samples: Iterable[dict[str, np.ndarray]], kinds: Sequence[str] = ("Gemm",)
+) -> onnx.ModelProto:
     """`model` with its layers of `kinds` quantised: 8-bit weights by output channel and 8-bit activations whose ranges
     are those met with `samples`, input arrays by name. Inputs and outputs stay float32."""
     from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
@@ -24,7 +26,7 @@ def quantized(model: onnx.ModelProto, samples: Iterable[dict[str, np.ndarray]], 
         def __init__(self):
             self.rows = iter(samples)
 
-        def get_next(self):
+        def get_next(self) -> dict[str, np.ndarray] | None:
             return next(self.rows, None)
 
     with tempfile.TemporaryDirectory(prefix="gavatar-int8-") as folder, warnings.catch_warnings():

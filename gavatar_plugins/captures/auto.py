@@ -7,6 +7,7 @@ from typing import Any
 
 from gavatar.capture.capture import Capture
 from gavatar.capture.opening import capture_format
+from gavatar.protocols import CaptureReader
 from gavatar.registry import CAPTURES, CaptureTraits, NoOptions
 from gavatar_runtime.errors import Faults
 
@@ -17,7 +18,7 @@ from gavatar_runtime.errors import Faults
     traits=CaptureTraits(chooses=True),
     default=True,
 )
-class AutoCapture:
+class AutoCapture(CaptureReader):
     """Asks every other reader."""
 
     signs = ""

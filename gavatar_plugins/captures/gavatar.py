@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from gavatar.capture.capture import Capture, read_capture
+from gavatar.protocols import CaptureReader
 from gavatar.registry import CAPTURES, NoOptions
 from gavatar_runtime.errors import Faults
 
 
 @CAPTURES.register("gavatar", summary="gavatar's own layout: capture.json, cameras.json, images/, masks/, body.npz")
-class GavatarCapture:
+class GavatarCapture(CaptureReader):
     """Reads and recognises gavatar's own layout."""
 
     signs = "capture.json"

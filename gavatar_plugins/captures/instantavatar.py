@@ -10,9 +10,11 @@ import numpy as np
 from gavatar.capture.capture import Capture, View, read_gray
 from gavatar.capture.placement import Placement, upright
 from gavatar.capture.reading import arrays, camera, check_motion, every_tenth, images_of, matrix, npy_mask
+from gavatar.protocols import CaptureReader
 from gavatar.registry import CAPTURES
 from gavatar_runtime.errors import Faults, UserError, frames_named
 from gavatar_runtime.motions import read_motion
+from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.motion import Motion
 
 CAM = "cam0"
@@ -47,7 +49,7 @@ class InstantAvatarOptions:
     config=InstantAvatarOptions,
     summary="InstantAvatar's People-Snapshot and NeuMan: cameras.npz",
 )
-class InstantAvatarCapture:
+class InstantAvatarCapture(CaptureReader):
     """cameras.npz: intrinsic 3x3 and extrinsic 4x4 (world to camera), height, width; pixel positions count from pixel
     centres. images/*.png, masks/*.npy (0, 1) or *.png, paired in the order of their names. poses.npz or
     poses_optimized.npz: betas (10), thetas (T, 72) or global_orient and body_pose, transl (T, 3), SMPL, in the axes of
@@ -169,7 +171,7 @@ def _whole_file(path: Path) -> Path | None:
     return next((p for n in ("poses_optimized.npz", "poses.npz") if (p := path / n).is_file()), None)
 
 
-def _between(refined: dict[str, Motion], splits, frames: int, path: Path, fps: float) -> Motion:
+def _between(refined: dict[str, Motion], splits: dict[str, list[View]], frames: int, path: Path, fps: float) -> Motion:
     """Poses for all frames where only those of the splits are known: the others, which nobody looks at, repeat them."""
     rows = {v.frame: (m.poses[i], m.trans[i]) for s, m in refined.items() for i, v in enumerate(splits[s])}
     if not rows:
@@ -182,7 +184,7 @@ def _between(refined: dict[str, Motion], splits, frames: int, path: Path, fps: f
     return Motion(np.stack([rows[f][0] for f in nearest]), np.stack([rows[f][1] for f in nearest]), fps, None)
 
 
-def _camera(path: Path):
+def _camera(path: Path) -> Camera:
     values = arrays(path, "intrinsic", "extrinsic", "height", "width")
     faults = Faults(collect=True)
     width, height = (faults.of(_pixels, path, key, values[key]) for key in ("width", "height"))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,6 +13,7 @@ import numpy as np
 from gavatar.capture.capture import Capture, View, read_image
 from gavatar.capture.placement import Placement, levelled
 from gavatar.capture.reading import camera, matrix, npy_mask, require
+from gavatar.protocols import CaptureReader
 from gavatar.registry import CAPTURES
 from gavatar_runtime.errors import Faults, UserError
 from gavatar_runtime.formats.joblib_file import load_joblib
@@ -35,7 +38,7 @@ class NeuManOptions:
 @CAPTURES.register(
     "neuman", config=NeuManOptions, summary="NeuMan as published: sparse/, alignments.npy, smpl_output_*.pkl"
 )
-class NeuManCapture:
+class NeuManCapture(CaptureReader):
     """sparse/cameras.txt and images.txt: COLMAP's, positions count from the image's corner; lens distortion is left
     out, as NeuMan does. images/, segmentations/NAME or NAME.npy (255 on what is not the person).
     smpl_output_optimized.pkl or smpl_output_romp.pkl: {1: pose (T, 72), betas (T, 10)}, rows by the number in the
@@ -121,7 +124,7 @@ class NeuManCapture:
         return pose[rows], betas.mean(0)
 
 
-def _frames_of(file: Path, field: str, value, width: int | None) -> np.ndarray:
+def _frames_of(file: Path, field: str, value: Any, width: int | None) -> np.ndarray:
     """(T, width) float64, any width if None; at least one frame."""
     value = np.asarray(value)
     if value.ndim != 2 or not len(value) or (width is not None and value.shape[1] != width):
@@ -129,7 +132,9 @@ def _frames_of(file: Path, field: str, value, width: int | None) -> np.ndarray:
     return matrix(file, field, value, value.shape, frames=True)
 
 
-def _placement(poses, alignments: np.ndarray, fps: float) -> tuple[Placement, np.ndarray]:
+def _placement(
+    poses: tuple[np.ndarray, np.ndarray], alignments: np.ndarray, fps: float
+) -> tuple[Placement, np.ndarray]:
     """The placement in a world in metres, and each frame's scale (T,) from metres to COLMAP's scene."""
     pose, betas = poses
     linear = np.swapaxes(alignments[:, :3], 1, 2)
@@ -210,7 +215,7 @@ def _names_image(words: list[str]) -> bool:
     return len(words) == 10 and words[9].lower().endswith((".png", ".jpg", ".jpeg"))
 
 
-def _lines(path: Path):
+def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Number and words of each line that is not a comment."""
     if not path.is_file():
         raise UserError(f"{path} is missing: COLMAP's text model")

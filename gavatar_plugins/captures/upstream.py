@@ -8,6 +8,7 @@ from pathlib import Path
 from gavatar.capture.capture import Capture, View
 from gavatar.capture.placement import Placement, upright
 from gavatar.capture.reading import IMAGES, arrays, camera, check_motion, image_size, images_of
+from gavatar.protocols import CaptureReader
 from gavatar.registry import CAPTURES
 from gavatar_runtime.errors import Faults, UserError
 from gavatar_runtime.motions import read_motion
@@ -27,7 +28,7 @@ class UpstreamOptions:
 @CAPTURES.register(
     "upstream", config=UpstreamOptions, summary="GaussianAvatar's own: train|test/, smpl_parms.pth, cam_parms"
 )
-class UpstreamCapture:
+class UpstreamCapture(CaptureReader):
     """train/ and, if there, test/, each with images/, masks/ (same names), smpl_parms.pth: beta (1, 10), body_pose
     (T, 72) of SMPL or (T, 165) of SMPL-X with the root first, trans (T, 3), rows in the order of the images' names; and
     cam_parms.npz, or cam_parms/NAME.npz for a camera that moves: intrinsic 3x3, extrinsic 4x4 world to camera; pixel
@@ -101,7 +102,7 @@ class _Part:
     motion: Motion
 
 
-def _joined(parts: dict[str, _Part]):
+def _joined(parts: dict[str, _Part]) -> tuple[Motion, dict[str, list[View]], list[Path], list[Path]]:
     """One motion of both parts, the splits, and the images and masks by frame."""
     counts = [len(part.images) for part in parts.values()]
     motions = [part.motion for part in parts.values()]

@@ -12,6 +12,7 @@ import numpy as np
 from gavatar.capture.capture import Capture, View, read_image
 from gavatar.capture.placement import Placement, upright
 from gavatar.capture.reading import camera, image_size, matrix, pose_field, require
+from gavatar.protocols import CaptureReader
 from gavatar.registry import CAPTURES
 from gavatar_runtime.errors import Faults, UserError
 from gavatar_runtime.formats.numpy_file import load_npy
@@ -41,7 +42,7 @@ class ZjuOptions:
 
 
 @CAPTURES.register("zju", config=ZjuOptions, summary="ZJU-MoCap: annots.npy, several cameras, params/, mask_cihp/")
-class ZjuCapture:
+class ZjuCapture(CaptureReader):
     """annots.npy: cams K (3x3), D (5, OpenCV), R (3x3), T (3, millimetres; world to camera) and ims, a list of
     {ims: [path, ...]} with a path for each camera; pixel positions count from pixel centres. mask_cihp/PATH.png or
     mask/PATH.png: not zero on the person. params/FRAME.npy: poses (72), shapes (10), Rh and Th (3), the model posed and

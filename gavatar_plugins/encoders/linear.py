@@ -72,7 +72,7 @@ class LinearEncoder(nn.Module):
             self.rotation_mean.copy_(rotations.mean(0))
             self.components.copy_(_local_components(rotations - self.rotation_mean, surface.parents, self.config))
             self.carried.copy_(_carried(surface))
-        for k, weight in enumerate(self._weights(inputs).unbind(1)):
+        for k, weight in enumerate(self.weights(inputs).unbind(1)):
             self.mean[k] = (weight * seen).sum(0) / seen.sum(0).clamp(min=1)
             centred = (weight - self.mean[k]) * seen
             low, high = centred.amin(0), centred.amax(0)
@@ -82,7 +82,7 @@ class LinearEncoder(nn.Module):
     def forward(self, *inputs: Tensor) -> Tensor:
         """Inputs as `self.inputs` names them: normal_map (B, 3, M, M), joint_rotations (B, 22, 3, 3)
         -> (B, C, M, M) pose features."""
-        weights = torch.minimum(torch.maximum(self._weights(inputs) - self.mean, self.low), self.high)
+        weights = torch.minimum(torch.maximum(self.weights(inputs) - self.mean, self.low), self.high)
         # one product a map: all at once would hold K times as many floats
         maps = GAIN * self.maps
         total = weights[:, :1] * maps[0]
@@ -90,8 +90,8 @@ class LinearEncoder(nn.Module):
             total = total + weights[:, k : k + 1] * maps[k]
         return total
 
-    def _weights(self, inputs: tuple[Tensor, ...]) -> Tensor:
-        """(B, K, M, M), neither centred nor clamped."""
+    def weights(self, inputs: tuple[Tensor, ...]) -> Tensor:
+        """(B, K, M, M) how much each map counts in each pose, neither centred nor clamped."""
         given = dict(zip(self.inputs, inputs, strict=True))
         weights = []
         if self.config.order:

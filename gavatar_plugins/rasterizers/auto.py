@@ -6,7 +6,7 @@ import logging
 
 import torch
 
-from gavatar.protocols import Rasterizer
+from gavatar.protocols import Background, Rasterizer
 from gavatar.registry import RASTERIZERS, NoOptions
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.values.camera import Camera
@@ -28,9 +28,9 @@ class AutoRasterizer(Rasterizer):
     its defaults; name it to set them."""
 
     def __init__(self, config: NoOptions | None = None):
-        self._chosen: dict[tuple[str, ...], object] = {}
+        self._chosen: dict[tuple[str, ...], Rasterizer] = {}
 
-    def __call__(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
+    def __call__(self, gaussians: Gaussians, camera: Camera, background: Background = (1.0, 1.0, 1.0)) -> Rendering:
         means = gaussians.means
         names = BY_DEVICE.get(means.device.type, ()) if means.dtype == torch.float32 else ()
         if names not in self._chosen:
@@ -38,7 +38,7 @@ class AutoRasterizer(Rasterizer):
         return self._chosen[names](gaussians, camera, background)
 
 
-def _first(names: tuple[str, ...]):
+def _first(names: tuple[str, ...]) -> Rasterizer:
     """The first of `names` that can be built here, else torch."""
     for name in names:
         try:

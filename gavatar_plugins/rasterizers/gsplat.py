@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import subprocess
+from collections.abc import Callable
+from types import ModuleType
 
 import torch
 from torch import Tensor
 
 from gavatar.optional import import_from_extra
-from gavatar.protocols import Rasterizer
+from gavatar.protocols import Background, Rasterizer
 from gavatar.registry import RASTERIZERS, RasterizerTraits
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.render.rasterizers.rules import LOW_PASS, NEAR
@@ -76,7 +78,7 @@ class GsplatRasterizer(Rasterizer):
         self.config = config or GsplatRasterizerConfig()
         self._rasterization = _load()
 
-    def __call__(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
+    def __call__(self, gaussians: Gaussians, camera: Camera, background: Background = (1.0, 1.0, 1.0)) -> Rendering:
         _check(gaussians)
         finite = finite_mask(gaussians)
         dropped = len(finite) - int(finite.sum())
@@ -135,7 +137,7 @@ def _check(gaussians: Gaussians) -> None:
             )
 
 
-def _load():
+def _load() -> Callable[..., tuple[Tensor, Tensor, dict]]:
     """`gsplat.rasterization` with its kernels in memory, compiled if need be; UserError for what is missing."""
     gsplat = _package()
     try:
@@ -148,7 +150,7 @@ def _load():
     return gsplat.rasterization
 
 
-def _package():
+def _package() -> ModuleType:
     """The package, where it is new enough and there is a device for it; else UserError."""
     gsplat = import_from_extra("gsplat", "rasterizer=gsplat")
     if tuple(int(part) for part in gsplat.__version__.split(".")[:2]) < OLDEST:

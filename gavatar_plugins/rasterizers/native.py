@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from gavatar.protocols import Rasterizer
+from gavatar.protocols import Background, Rasterizer
 from gavatar.registry import RASTERIZERS, RasterizerTraits
 from gavatar_runtime import native_library as nl
 from gavatar_runtime.errors import UserError
@@ -65,7 +66,7 @@ class NativeRasterizer(Rasterizer):
         """Whether `Gaussians.normals` would be of use."""
         return self.config.backface > 0
 
-    def __call__(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
+    def __call__(self, gaussians: Gaussians, camera: Camera, background: Background = (1.0, 1.0, 1.0)) -> Rendering:
         fields = _checked(gaussians)
         background = torch.as_tensor(background, dtype=torch.float32)
         report = nl.ReportStruct()
@@ -146,14 +147,18 @@ def _pointer(tensor: Tensor | None) -> int | None:
     return None if tensor is None else tensor.data_ptr()
 
 
-def _struct(fields, normals) -> nl.GaussiansStruct:
+def _struct(fields: list[Tensor | None], normals: Tensor | None) -> nl.GaussiansStruct:
     columns = 3 if fields[1].ndim == 2 else 1
     return nl.GaussiansStruct(len(fields[0]), *map(_pointer, fields), _pointer(normals), columns)
 
 
 class _Splat(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, means, scales, colors, opacities, quaternions, background, normals, camera, owner, report, keep):
+    def forward(
+        ctx: Any, means: Tensor, scales: Tensor, colors: Tensor, opacities: Tensor | None, quaternions: Tensor | None,
+        background: Tensor, normals: Tensor | None, camera: Camera, owner: NativeRasterizer, report: nl.ReportStruct,
+        keep: bool,
+    ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
         fields = [None if x is None else x.contiguous() for x in (means, scales, colors, opacities, quaternions)]
         lease = _Lease(owner)
         struct, camera_struct = _struct(fields, normals), nl.camera_struct(camera)
@@ -171,7 +176,7 @@ class _Splat(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, *upstream):
+    def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:
         *fields, color, alpha, depth = ctx.saved_tensors
         upstream = [None if g is None else g.contiguous() for g in upstream]
         wanted = ctx.needs_input_grad[:5]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from gavatar.protocols import Rasterizer
+from gavatar.protocols import Background, Rasterizer
 from gavatar.registry import RASTERIZERS, NoOptions, RasterizerTraits
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.render.rasterizers.numpy import render
@@ -25,7 +25,7 @@ class NumpyTensors(Rasterizer):
     def __init__(self, config: NoOptions | None = None):
         self.config = config
 
-    def __call__(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
+    def __call__(self, gaussians: Gaussians, camera: Camera, background: Background = (1.0, 1.0, 1.0)) -> Rendering:
         check_dtype(gaussians)
         fields = [gaussians.means, gaussians.scales, gaussians.colors, gaussians.opacities, gaussians.quaternions]
         if torch.is_grad_enabled() and any(f is not None and f.requires_grad for f in fields):

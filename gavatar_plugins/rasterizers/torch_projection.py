@@ -89,7 +89,9 @@ def _camera_points(means: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tenso
     return tuple(x * row[0] + y * row[1] + z * row[2] + row[3] for row in rows)
 
 
-def _covariance_isotropic(scales: Tensor, z: Tensor, ratio_x: Tensor, ratio_y: Tensor, camera: Camera):
+def _covariance_isotropic(
+    scales: Tensor, z: Tensor, ratio_x: Tensor, ratio_y: Tensor, camera: Camera
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """(xx, xy, yy, det) of s^2 J J^T, px^2."""
     k = (scales / z).square()
     kx, ky = k * camera.fx**2, k * camera.fy**2
@@ -98,7 +100,9 @@ def _covariance_isotropic(scales: Tensor, z: Tensor, ratio_x: Tensor, ratio_y: T
     return kx * xx, cross, ky * yy, kx * ky * (xx + ratio_y.square())
 
 
-def _covariance(gaussians: Gaussians, z: Tensor, ratio_x: Tensor, ratio_y: Tensor, camera: Camera):
+def _covariance(
+    gaussians: Gaussians, z: Tensor, ratio_x: Tensor, ratio_y: Tensor, camera: Camera
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """(xx, xy, yy, det) of M M^T with M = J R diag(scales), px^2; det = |m_x x m_y|^2 by Lagrange's identity."""
     world = gaussians.means.new_tensor(camera.T_camera_world[:3, :3].tolist())
     axes = world.expand(len(z), 3, 3)

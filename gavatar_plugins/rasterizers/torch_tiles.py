@@ -22,12 +22,13 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from gavatar.protocols import Rasterizer
+from gavatar.protocols import Background, Rasterizer
 from gavatar.registry import RASTERIZERS
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.render.rasterizers.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_STOP
@@ -64,7 +65,7 @@ class TorchRasterizer(Rasterizer):
     def __init__(self, config: TorchRasterizerConfig):
         self.config = config
 
-    def __call__(self, gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0)) -> Rendering:
+    def __call__(self, gaussians: Gaussians, camera: Camera, background: Background = (1.0, 1.0, 1.0)) -> Rendering:
         check_dtype(gaussians)
         with torch.no_grad():
             finite = finite_mask(gaussians)
@@ -158,7 +159,7 @@ class _Blend(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx, table, extent, camera, config):
+    def forward(ctx: Any, table: Tensor, extent: Tensor, camera: Camera, config: TorchRasterizerConfig) -> Tensor:
         lists = TileLists(table[:, :2], extent, camera.width, camera.height, config)
         blender = _Blender(table, lists.columns, lists.rows, camera, config)
         chunks = []
@@ -174,13 +175,15 @@ class _Blend(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, grad):
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None, None]:
         table, sums = ctx.saved_tensors
         blender = _Blender(table, *ctx.tiles, ctx.camera, ctx.config)
         return _replay(blender, ctx.chunks, sums, blender.tiled(grad)), None, None, None
 
 
-def _chunks(splat, tiles, start, length, blender: _Blender, config) -> Iterator[tuple[Tensor, Tensor]]:
+def _chunks(
+    splat: Tensor, tiles: Tensor, start: Tensor, length: Tensor, blender: _Blender, config: TorchRasterizerConfig
+) -> Iterator[tuple[Tensor, Tensor]]:
     """Yields (tiles (t,), splats (t, K)): `chunk` list positions of a batch of tiles at a time, front to back, for as
     long as the tile has a live pixel. A list that ends is filled up with `blender.padding`."""
     steps = torch.arange(config.chunk, device=splat.device)
@@ -285,7 +288,7 @@ def _monomials(tile_size: int, dtype: torch.dtype, device: torch.device) -> Tens
     return torch.stack([x * x, x * y, y * y, x, y, torch.ones_like(x)], 1)
 
 
-def _replay(blender: _Blender, chunks, sums: Tensor, grad: Tensor) -> Tensor:
+def _replay(blender: _Blender, chunks: list[tuple[Tensor, Tensor, Tensor]], sums: Tensor, grad: Tensor) -> Tensor:
     """(M, 6 + F) gradient by the table, from the forward's `sums` and their gradient `grad`, (P, tiles, F) each."""
     remaining = (sums * grad).sum(-1)
     gradient = torch.zeros_like(blender.table)

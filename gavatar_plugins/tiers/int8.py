@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 import onnx
@@ -40,8 +41,10 @@ class Int8Builder(TierBuilder):
         chosen = source.train_poses[evenly_spaced(len(source.train_poses), count)]
         poses = np.concatenate([chosen, source.random_poses(count)])
 
-        def decoder(rows: onnx.ModelProto, scanned: dict[str, np.ndarray], features) -> onnx.ModelProto:
-            def samples():
+        def decoder(
+            rows: onnx.ModelProto, scanned: dict[str, np.ndarray], features: np.ndarray | None
+        ) -> onnx.ModelProto:
+            def samples() -> Iterator[dict[str, np.ndarray]]:
                 for i, pose in enumerate(poses):
                     total = source.features(pose[None])[0].numpy() + (0 if features is None else features[0])
                     texels = np.ascontiguousarray(total.reshape(len(total), -1).T)

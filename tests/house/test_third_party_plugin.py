@@ -42,11 +42,16 @@ def run(installed: Path, module: str, *arguments: str, cwd: Path) -> subprocess.
 
 def test_the_documented_example_is_the_tested_one():
     blocks = (ROOT / "docs" / "guide" / "your_own_component.md").read_text().split("```")[1::2]
-    for language, path in (("python", "src/gavatar_tinydecoder/decoder.py"), ("toml", "pyproject.toml")):
+    shown = {"pyproject.toml": [block for block in blocks if block.startswith("toml")]}
+    for block in blocks:
+        first = block.splitlines()[1]
+        if first.startswith("# src/"):
+            shown.setdefault(first.removeprefix("# "), []).append(block)
+    assert len(shown) == 4
+    for path, parts in shown.items():
         tested = (EXAMPLE / path).read_text().splitlines()
-        (block,) = [b for b in blocks if b.startswith(language)]
-        shown = [line for line in block.splitlines()[1:] if not line.startswith("# ")]
-        assert [line for line in shown if line not in tested] == []
+        lines = [line for part in parts for line in part.splitlines()[1:] if not line.startswith("# ")]
+        assert [line for line in lines if line not in tested] == []
 
 
 def test_the_list_names_the_distribution_and_reports_the_broken_sibling(installed, tmp_path):

@@ -22,7 +22,6 @@ from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.gaussians import Gaussians, Rendering
 
 load_plugins()
-DEVICES = {"native": ("cpu",), "numpy": ("cpu",), "gsplat": ("cuda",)}  # the others take any
 FLIPS = 1e-3  # of the pixels may have decided otherwise: the project's bound on threshold flips
 
 
@@ -98,10 +97,10 @@ def _builds(name: str) -> bool:
         return False
 
 
-TARGETS = [target(name, device) for name in RASTERIZERS.names() for device in DEVICES.get(name, ("cpu", "cuda"))]
+TARGETS = [target(name, device) for name in RASTERIZERS.names() for device in RASTERIZERS.traits(name).devices]
 every = pytest.mark.parametrize("target", TARGETS, ids=str)
 every_differentiable = pytest.mark.parametrize(
-    "target", [t for t in TARGETS if getattr(RASTERIZERS[t.name].factory, "differentiable", False)], ids=str
+    "target", [t for t in TARGETS if RASTERIZERS.traits(t.name).differentiable], ids=str
 )
 
 

@@ -22,7 +22,7 @@ def main(argv: list[str] | None = None) -> int:
 
     from .. import native_library
     from ..bundle import read_bundle
-    from ..motions import read_motion
+    from ..motions import MOTIONS, read_motion
     from ..play.player import play
     from ..play.selection import choose_tier
     from ..play.staging import clip, open_avatar, staged
@@ -30,7 +30,7 @@ def main(argv: list[str] | None = None) -> int:
     from ..render.choice import build_rasterizer
     from .play_report import peak_memory_mb, show_progress, table, timing_report
 
-    motion = read_motion(arguments.motion, **options["motion"])
+    motion = read_motion(arguments.motion or MOTIONS.default, **options["motion"])
     motion = clip(motion, arguments.fps, arguments.seconds, arguments.frames)
     bundle = read_bundle(arguments.avatar)
     tier = choose_tier(bundle, arguments)

@@ -30,7 +30,7 @@ def parser() -> argparse.ArgumentParser:
         "gavatar-play", description=DESCRIPTION, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     p.add_argument("avatar", metavar="NAME.gavatar", help="bundle that gavatar-export wrote, zipped or unpacked")
-    p.add_argument("--motion", default="turn", metavar="NAME|FILE", help="turn, wave or a motion file (default: turn)")
+    p.add_argument("--motion", metavar="NAME|FILE", help="turn, wave or a motion file (default: turn)")
     p.add_argument(
         "--out", metavar="PATH", help="X.mp4, X.png (contact sheet) or folder/ (default: a video next to the bundle)"
     )

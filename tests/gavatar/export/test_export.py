@@ -8,15 +8,15 @@ import onnxruntime
 import pytest
 import torch
 from tiny_capture import SMALL, write_tiny_capture
-from torch import nn
 
-import gavatar.export.bundling as module
 from gavatar.assemble import build_rasterizer as training_rasterizer
 from gavatar.config import compose_config
+from gavatar.export import bundling, packing
 from gavatar.export import onnx_graphs as graphs
-from gavatar.export.bundling import export
-from gavatar.export.onnx_graphs import fold_batchnorm
+from gavatar.export.bundling import export, export_front
+from gavatar.export.onnx_graphs import OPSET
 from gavatar.export.seen import difference, seen
+from gavatar.export.verification import ExportCheck
 from gavatar.images.pixel_weights import pixel_weights
 from gavatar.training.posing import posed
 from gavatar.training.run import open_run, train
@@ -124,8 +124,8 @@ def test_cheaper_tiers_follow_an_encoder_that_sees_light(runs, tmp_path):
 
 
 def test_a_bundle_whose_map_lost_its_normals_is_one_sentence(runs, tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "pack_surfaces", lambda a, b, normals: pack_surfaces(a, b))
-    monkeypatch.setattr(module, "verify", lambda *a: module.ExportCheck(0, 0, 0, 1))
+    monkeypatch.setattr(packing, "pack_surfaces", lambda a, b, normals: pack_surfaces(a, b))
+    monkeypatch.setattr(bundling, "verify", lambda *a: ExportCheck(0, 0, 0, 1))
     export(runs["light and joints"], tmp_path / "a.gavatar")
     with pytest.raises(UserError, match=r"wants a normal_map.*export the avatar again"):
         PlayedAvatar(tmp_path / "a.gavatar")
@@ -138,7 +138,7 @@ def test_onnx_members_state_opset_and_metadata_and_hold_no_batchnorm(runs, tmp_p
         model = onnx.load_from_string(bundle.read(member))
         onnx.checker.check_model(model)
         properties = {p.key: p.value for p in model.metadata_props}
-        assert model.opset_import[0].version == module.OPSET == bundle.manifest.opset
+        assert model.opset_import[0].version == OPSET == bundle.manifest.opset
         assert properties["decoder"] == "upstream"
         assert properties["license"] == "CC0-1.0"
         assert "BatchNormalization" not in {node.op_type for node in model.graph.node}
@@ -177,49 +177,67 @@ def test_weights_of_a_picture_add_up_to_its_alpha(runs):
 
 def test_gaussians_that_no_camera_sees_are_left_out_and_the_picture_stays(runs, tmp_path):
     run = runs["mlp and unet"]
-    whole = run.avatar.surface
-    try:
-        strict, wide = seen(run, margin=0.0), seen(run, margin=0.02)
-        assert 0 < strict.sum() < wide.sum() <= len(whole)
-        assert wide[strict].all()
-        changed = difference(run, strict)
-        assert changed["psnr"] >= changed["worst_psnr"] > 35  # a hole of one pixel in this small picture costs more
-        manifest = export(run, tmp_path / "a.gavatar", drop_unseen=True)
-        left = manifest.training["unseen"]
-        assert manifest.gaussians == wide.sum() == len(whole) - left["dropped"]
-        played = PlayedAvatar(read_bundle(tmp_path / "a.gavatar", verify=True))
-        motion = run.motion.motion()
-        got = played.gaussians(motion.poses[0], motion.trans[0])
-        run.avatar.sample_at(whole)
-        expected = posed(run, motion, 0).means.numpy()[wide]
-        assert np.abs(got.means - expected).max() < 1e-5
-    finally:
-        run.avatar.sample_at(whole)
+    strict, wide = seen(run, margin=0.0), seen(run, margin=0.02)
+    assert 0 < strict.sum() < wide.sum() <= len(run.avatar.surface)
+    assert wide[strict].all()
+    changed = difference(run, strict)
+    assert changed["psnr"] >= changed["worst_psnr"] > 35  # a hole of one pixel in this small picture costs more
+    manifest = export(run, tmp_path / "a.gavatar", drop_unseen=True)
+    left = manifest.training["unseen"]
+    assert manifest.gaussians == wide.sum() == len(run.avatar.surface) - left["dropped"]
+    played = PlayedAvatar(read_bundle(tmp_path / "a.gavatar", verify=True))
+    motion = run.motion.motion()
+    got = played.gaussians(motion.poses[0], motion.trans[0])
+    expected = posed(run, motion, 0).means.numpy()[wide]
+    assert np.abs(got.means - expected).max() < 1e-5
 
 
-def test_an_export_beyond_tolerance_is_refused_and_nothing_is_left(runs, tmp_path, monkeypatch):
+def test_an_export_leaves_the_run_as_it_was(runs, tmp_path):
     run = runs["mlp and unet"]
-    wrong = module.ExportCheck(0.01, 0, 0, 1)
-    monkeypatch.setattr(module, "verify", lambda *a: wrong)
-    with pytest.raises(UserError, match=r"was not written.*10\.000 mm"):
-        export(run, tmp_path / "a.gavatar")
-    monkeypatch.setattr(module, "verify", lambda *a: module.ExportCheck(float("nan"), 0, 0, 1))
-    with pytest.raises(UserError, match="was not written"):
+    surface, before = run.avatar.surface, {k: v.clone() for k, v in run.avatar.state_dict().items()}
+    gaussians = posed(run, run.motion.motion(), 0)
+    manifest = export(run, tmp_path / "a.gavatar", uv=96, drop_unseen=True, tiers=["baked"])
+    assert manifest.gaussians != len(surface)
+    assert run.avatar.surface is surface
+    assert run.uv == 64
+    assert all(torch.equal(v, before[k]) for k, v in run.avatar.state_dict().items())
+    again = posed(run, run.motion.motion(), 0)
+    assert torch.equal(again.means, gaussians.means)
+    assert torch.equal(again.colors, gaussians.colors)
+
+
+def test_of_the_measured_tiers_those_that_pay_are_written(runs, tmp_path, monkeypatch):
+    described = [
+        {"name": "full", "frame_ms": 100.0, "psnr_capture": 100.0, "psnr_mixed": 100.0},
+        {"name": "int8", "frame_ms": 99.0, "psnr_capture": 60.0, "psnr_mixed": 60.0},
+        {"name": "baked", "frame_ms": 5.0, "psnr_capture": 30.0, "psnr_mixed": 30.0},
+        {"name": "coarse", "frame_ms": 20.0, "psnr_capture": 40.0, "psnr_mixed": 40.0},
+    ]
+    monkeypatch.setattr(bundling, "describe_tiers", lambda draft, poses: described)
+    monkeypatch.setattr(bundling.TIERS, "names", lambda: ["int8", "coarse"])
+    manifest = export_front(runs["mlp and unet"], tmp_path / "a.gavatar")
+    assert [tier["name"] for tier in manifest.tiers] == ["full", "baked", "coarse"]
+    assert not {name for name in manifest.members if "int8" in name}
+    for tier in ("full", "baked", "coarse"):
+        assert len(PlayedAvatar(read_bundle(tmp_path / "a.gavatar", verify=True), tier=tier)) == manifest.gaussians
+    assert export_front(runs["static"], tmp_path / "static.gavatar").tiers == []
+
+
+def test_a_decoder_that_says_it_is_not_exported_is_one_sentence(runs, tmp_path, monkeypatch):
+    run = runs["static"]
+    monkeypatch.setattr(run.config, "decoder", run.config.decoder | {"anisotropic": True})
+    with pytest.raises(UserError, match=r"its Gaussians are anisotropic.*train it without that option"):
         export(run, tmp_path / "a.gavatar")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folding_batchnorm_changes_nothing_that_is_evaluated():
-    torch.manual_seed(0)
-    up = nn.ConvTranspose2d(4, 5, 4, 2, 1)
-    conv = nn.Sequential(nn.Conv2d(3, 4, 3), nn.BatchNorm2d(4), nn.ReLU(), up, nn.BatchNorm2d(5, affine=False))
-    linear = nn.Sequential(nn.Linear(3, 4), nn.BatchNorm1d(4), nn.Softplus())
-    for net, x in ((conv, torch.randn(2, 3, 8, 8)), (linear, torch.randn(9, 3))):
-        for _ in range(3):
-            net(x * 2 + 1)  # running statistics away from their start
-        net.eval()
-        folded = fold_batchnorm(net)
-        assert not any(isinstance(m, nn.modules.batchnorm._BatchNorm) for m in folded.modules())
-        # a product of float32 numbers taken in another order
-        assert torch.allclose(folded(x), net(x), atol=1e-5)
-        assert any(isinstance(m, nn.modules.batchnorm._BatchNorm) for m in net.modules())
+def test_an_export_beyond_tolerance_is_refused_and_nothing_is_left(runs, tmp_path, monkeypatch):
+    run = runs["mlp and unet"]
+    wrong = ExportCheck(0.01, 0, 0, 1)
+    monkeypatch.setattr(bundling, "verify", lambda *a: wrong)
+    with pytest.raises(UserError, match=r"was not written.*10\.000 mm"):
+        export(run, tmp_path / "a.gavatar")
+    monkeypatch.setattr(bundling, "verify", lambda *a: ExportCheck(float("nan"), 0, 0, 1))
+    with pytest.raises(UserError, match="was not written"):
+        export(run, tmp_path / "a.gavatar")
+    assert list(tmp_path.iterdir()) == []

@@ -175,8 +175,8 @@ def test_light_of_degree_2_counts_as_a_matt_surface_returns_it(surface):
     in the scale of the harmonics here, up to the constants that maps learn anyway."""
     poses = random_poses(6)
     first, second = (prepared(surface, poses, order=order, bases=0) for order in (1, 2))
-    weights = second._weights(tensors(surface, poses, second))
-    torch.testing.assert_close(weights[:, :3], first._weights(tensors(surface, poses, first)))
+    weights = second.weights(tensors(surface, poses, second))
+    torch.testing.assert_close(weights[:, :3], first.weights(tensors(surface, poses, first)))
     plain = harmonics(tensors(surface, poses, second)[0], 2)
     torch.testing.assert_close(weights[:, 3:], plain[:, 3:] * 3 / 8)
 

@@ -108,7 +108,7 @@ def test_float64_gradients_are_finite_differences(renderer, isotropic):
             return reference_gradients.render(gaussians, camera, background)
 
     else:
-        if not getattr(RASTERIZERS[renderer].factory, "differentiable", False):
+        if not RASTERIZERS.traits(renderer).differentiable:
             pytest.skip(f"rasterizer={renderer} has no gradients")
         try:
             rasterizer = RASTERIZERS.build(renderer)
@@ -179,7 +179,7 @@ def test_gradients_stay_finite_at_any_scale(target, scale):
 
 @every
 def test_a_rasterizer_without_gradients_says_what_has_them(target):
-    if getattr(RASTERIZERS[target.name].factory, "differentiable", False):
+    if RASTERIZERS.traits(target.name).differentiable:
         pytest.skip("it has gradients")
     scene = leaves(target, random_scene(0, 3), torch.float32)
     scene.pop("background")
