@@ -10,12 +10,13 @@ from torch import Tensor
 
 from gavatar_runtime.render.widening import as_trained
 from gavatar_runtime.values.camera import Camera
-from gavatar_runtime.values.gaussians import Gaussians, Rendering
+from gavatar_runtime.values.gaussians import Gaussians
 
 from ..assemble import AvatarBuild
 from ..attributes import Attributes
 from ..avatar.trainable import Avatar, Pose
 from ..capture.capture import View
+from ..protocols import Rasterizer
 from .footage import Comparison, FootageSource
 from .motion_table import MotionTable
 from .remedies.exposure import Exposure
@@ -28,16 +29,15 @@ WHITE = torch.ones(3)
 class Scene:
     """An avatar before the cameras that filmed a person: all that decides what is drawn in a view.
 
-    built: the avatar and the body it stands on. rasterize: (Gaussians, Camera, background (3,)) -> Rendering. footage:
-    of the views; a row is a place in their list. motion: a pose for each frame of the capture. exposure: gains of the
-    views, None where every camera shows the avatar's own colours. shape: a correction of the body's shape, None where
-    it is taken as it is.
+    built: the avatar and the body it stands on. rasterize: draws Gaussians before a camera. footage: of the views; a
+    row is a place in their list. motion: a pose for each frame of the capture. exposure: gains of the views, None where
+    every camera shows the avatar's own colours. shape: a correction of the body's shape, None where it is as it is.
     """
 
     def __init__(
         self,
         built: AvatarBuild,
-        rasterize: Callable[[Gaussians, Camera, Tensor], Rendering],
+        rasterize: Rasterizer,
         footage: FootageSource,
         motion: MotionTable,
         exposure: Exposure | None = None,

@@ -8,6 +8,7 @@ import torch
 from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.config import MotionConfig, check, compose_config
+from gavatar.losses import LossInputs
 from gavatar.training.motion_table import MotionTable, RowAdam, scale_gradient, shared_frames
 from gavatar.training.run import train
 from gavatar.training.schedule import sharing_width
@@ -148,7 +149,9 @@ def test_a_motion_terms_pull_on_a_shown_frame_does_not_hang_on_how_many_frames_t
         with torch.no_grad():
             correction[:count] = 0.1
         state = trainer.poses.state(shown=2, mended=[])
-        trainer.losses.losses["motion_prior"](type("Inputs", (), {"motion": state})()).backward()
+        picture, mask = torch.zeros(1, 3, 1, 1), torch.zeros(1, 1, 1)
+        inputs = LossInputs(render=picture, target=picture, alpha=mask, mask=mask, motion=state)
+        trainer.losses.losses["motion_prior"](inputs).backward()
         pulls.append(trainer.poses.leaves[correction].grad[0])
     assert torch.allclose(*pulls, rtol=1e-5)
     assert pulls[0].abs().min() > 0
