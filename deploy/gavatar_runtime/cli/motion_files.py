@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UserError, exit_cleanly
+from ..errors import UserError, exit_cleanly, options_spelled
 
 if TYPE_CHECKING:
     from ..values.motion import HandParameters, Motion
@@ -54,12 +54,13 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
     from ..motions import read_motion
-    from .settings import parse_settings
+    from .settings import as_settings, parse_options
 
-    options = parse_settings([f"motion.{setting}" for setting in arguments.set])["motion"]
+    options = parse_options(arguments.set)
     if arguments.rest:
         options["rest"] = arguments.rest
-    motion = read_motion(arguments.motion, **options)
+    with options_spelled(as_settings("")):
+        motion = read_motion(arguments.motion, **options)
     if arguments.command == "info":
         values = describe(motion)
         print(json.dumps(values, indent=1) if arguments.json else _table(values))

@@ -1,28 +1,43 @@
-"""`--set KEY=VALUE` of the commands."""
+"""`--set KEY=VALUE` of the commands, and how options are written on them."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-from ..errors import UserError, did_you_mean
+from ..errors import Spelling, UserError, did_you_mean
 
 
-def parse_settings(settings: list[str]) -> dict[str, dict[str, Any]]:
-    """`motion.KEY=VALUE` and `rasterizer.KEY=VALUE` by group; numbers and true/false become what they look like."""
-    options: dict[str, dict[str, Any]] = {"motion": {}, "rasterizer": {}}
+def parse_settings(settings: Sequence[str], groups: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """`GROUP.KEY=VALUE` by group; numbers and true/false become what they look like."""
+    options: dict[str, dict[str, Any]] = {group: {} for group in groups}
     for setting in settings:
-        match = re.fullmatch(r"(\w+)\.(\w+)=(.*)", setting)
-        if match is None:
-            raise UserError(f"--set {setting}: expected motion.KEY=VALUE or rasterizer.KEY=VALUE")
-        group, key, text = match.groups()
+        group, dot, rest = setting.partition(".")
+        if not dot or "=" in group:
+            raise UserError(f"--set {setting}: expected {' or '.join(f'{group}.KEY=VALUE' for group in groups)}")
         if group not in options:
             raise UserError(f"--set {setting}: unknown group '{group}': {did_you_mean(group, options)}")
-        options[group][key] = parse_value(text)
+        options[group] |= _parsed(setting, rest, f"{group}.")
     return options
 
 
-def parse_value(text: str) -> Any:
+def parse_options(settings: Sequence[str]) -> dict[str, Any]:
+    """`KEY=VALUE`, likewise."""
+    options: dict[str, Any] = {}
+    for setting in settings:
+        options |= _parsed(setting, setting, "")
+    return options
+
+
+def _parsed(setting: str, text: str, prefix: str) -> dict[str, Any]:
+    match = re.fullmatch(r"(\w+)=(.*)", text)
+    if match is None:
+        raise UserError(f"--set {setting}: expected {prefix}KEY=VALUE")
+    return {match[1]: _value(match[2])}
+
+
+def _value(text: str) -> Any:
     """A whole number, a number, true or false where the text looks like one, else the text."""
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
@@ -32,3 +47,21 @@ def parse_value(text: str) -> Any:
         except ValueError:
             pass
     return text
+
+
+def as_flags(names: Iterable[str]) -> Spelling:
+    """Options as a command has them: `budget_ms=3` is --budget-ms 3 where that is one of `names`, and `output.shown=3`
+    is --set output.shown=3."""
+    known = frozenset(names)
+
+    def spelling(name: str, value: str) -> str:
+        if name in known:
+            return f"--{name.replace('_', '-')} {value}".rstrip()
+        return as_settings("")(name, value) if "." in name else ""
+
+    return spelling
+
+
+def as_settings(prefix: str) -> Spelling:
+    """Options as settings: `fps=3` is --set motion.fps=3 with the prefix `motion.`."""
+    return lambda name, value: f"--set {prefix}{name}={value or 'VALUE'}"

@@ -77,7 +77,7 @@ class Wave:
 
     def __init__(self, config: WaveOptions):
         if not isinstance(config.waves, int) or config.waves < 0:
-            raise UserError(f"motion option waves={config.waves}: give a whole number, zero or more, so that it loops")
+            raise UserError(f"`waves={config.waves}`: give a whole number, zero or more, so that it loops")
         self.config = config
 
     def load(self) -> Motion:

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..errors import UserError
+from ...errors import UserError
 
 INSTALL = "pip install 'gavatar[video]'"
 # What the program is asked for, the first that it has: H.264, or what every build of ffmpeg brings.
