@@ -11,9 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 MOST_NAMED = 20  # faults of one kind, or frames of one fault, that a message names before it counts the rest
-OPTION = re.compile(
-    r"`([\w.]+)(?:=([^`]*))?`"
-)  # a keyword in a message of the library: `fps`, or with its value `fps=-3`
+OPTION = re.compile(r"`([\w.]+)(?:=([^`]*))?`")  # as messages of the library name one: `fps`, or `fps=-3`
 Spelling = Callable[[str, str], str]  # of an option, from its keyword and value, if that is said; '' leaves it as it is
 
 

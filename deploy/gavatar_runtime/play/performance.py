@@ -14,7 +14,7 @@ from .. import native_library
 from ..avatar.adaptive import AdaptiveAvatar
 from ..avatar.played import PlayedAvatar
 from ..bundle import Bundle, read_bundle
-from ..errors import UserError
+from ..errors import WrongValue
 from ..motions import read_motion
 from ..render.rasterizers import Rasterizer
 from ..values.camera import Camera
@@ -196,7 +196,7 @@ def _opened(source: Bundle | PlayedAvatar, clip: Clip, view: View, level: Level,
         return level.open(source, clip, view, motion)
     given = [name for name in differing(level) if name != "threads"]
     if given:
-        raise UserError(
+        raise WrongValue(
             f"the avatar is open already, by tier {source.tier}: leave {_options(given)} out, or give its bundle"
         )
     return source
@@ -218,7 +218,7 @@ def _check_undrawn(out: str | os.PathLike, view: View, level: Level, notes: _Not
     """Note what an output of Gaussians makes no use of; UserError for what would decode for a camera."""
     if level.seen_only or level.uv == AUTO:
         option = "`seen_only`" if level.seen_only else f"`uv={AUTO}`"
-        raise UserError(f"{option} goes by what a camera sees, and {out} takes all Gaussians: leave it out")
+        raise WrongValue(f"{option} goes by what a camera sees, and {out} takes all Gaussians: leave it out")
     unused = list(dict.fromkeys(name.removesuffix("_options") for name in differing(view)))
     if unused:
         notes.add(f"{out} takes the Gaussians, which nothing draws: {_options(unused)} had no use")

@@ -142,7 +142,7 @@ class _Images(_Frames[np.ndarray]):
 
 class _Gaussians(_Frames[Gaussians]):
     def decode(self, frame: int) -> tuple[Gaussians, dict[str, float]]:
-        return self.avatar.gaussians(*self.motion.at(frame)), dict(self.avatar.stage_seconds)
+        return self.avatar.gaussians(*self.motion.at(frame), copy=False), dict(self.avatar.stage_seconds)
 
     def finish(self, gaussians: Gaussians, frame: int) -> tuple[Gaussians, dict[str, float]]:
         return gaussians, {}

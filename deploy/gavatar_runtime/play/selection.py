@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..bundle import Bundle
-from ..errors import UserError
+from ..errors import UserError, WrongValue
 from ..tiers import player_tiers, stored_tiers
 
 NEEDED = {"name", "frame_ms", "psnr_capture", "worst_psnr_capture"}  # of what the manifest says of a tier
@@ -28,7 +28,7 @@ def choose_tier(
     Raises UserError for a tier beside these, for a bundle without figures and for a condition that no tier meets.
     """
     if tier and (min_psnr or target_fps):
-        raise UserError("`tier` names a tier, and `min_psnr` and `target_fps` choose one: give one or the other")
+        raise WrongValue("`tier` names a tier, and `min_psnr` and `target_fps` choose one: give one or the other")
     if tier:
         return tier
     measured = [t for t in bundle.manifest.tiers if isinstance(t, dict) and set(t) >= NEEDED]

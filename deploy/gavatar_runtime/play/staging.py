@@ -16,7 +16,7 @@ from ..avatar.played import PlayedAvatar
 from ..avatar.playing import Avatar
 from ..bundle import Bundle
 from ..decoding.detail import WORTH, uv_for_size
-from ..errors import UserError, did_you_mean
+from ..errors import WrongValue, did_you_mean
 from ..formats.camera_file import read_camera
 from ..render.rasterizers import Rasterizer
 from ..render.renderer import Renderer
@@ -56,7 +56,7 @@ class Clip:
         if self.frames is not None:
             count, index = len(index), index[self.frames]
             if not len(index):
-                raise UserError(
+                raise WrongValue(
                     f"`frames` leaves no frame: motion '{motion.name}' has {count} at {fps:g} frames per second"
                 )
         return motion.taken(index)
@@ -139,7 +139,7 @@ class View:
             value = math.nan
         if abs(value) <= 1e6:
             return value
-        raise UserError(
+        raise WrongValue(
             f"unknown camera '{self.camera}': give degrees, FILE.json[:NAME], or "
             f"{did_you_mean(str(self.camera), DIRECTIONS)}"
         )
@@ -169,7 +169,7 @@ class Level:
         _check_positive(min_psnr=self.min_psnr, target_fps=self.target_fps, budget_ms=self.budget_ms)
         _check_counts(None, uv=None if self.uv == AUTO else self.uv, reuse=self.reuse, threads=self.threads)
         if self.budget_ms and (self.uv or self.reuse > 1 or self.seen_only):
-            raise UserError(
+            raise WrongValue(
                 "`budget_ms` chooses the level of detail and the reuse: leave `uv`, `reuse` and `seen_only` out"
             )
 
@@ -187,7 +187,7 @@ class Level:
         uv = _uv_on_screen(bundle, clip, view, motion) if self.uv == AUTO else self.uv
         avatar = Avatar(bundle, tier=tier, uv=uv, reuse=self.reuse, seen_only=self.seen_only, threads=self.threads)
         if self.seen_only and not avatar.seen_only:
-            raise UserError(f"`seen_only`: {_why_not_seen_only(avatar, self.reuse)}")
+            raise WrongValue(f"`seen_only`: {_why_not_seen_only(avatar, self.reuse)}")
         return avatar
 
 
@@ -210,7 +210,7 @@ def color_from(color: str | Sequence[float]) -> tuple[float, float, float]:
         with contextlib.suppress(ValueError):  # which is as wrong as too few numbers
             values = [float(part) for part in color.split(",")]
     if len(values) != 3 or not all(0 <= c <= 1 for c in values):
-        raise UserError(f"`background={color}`: give {', '.join(COLORS)}, #rrggbb, or r,g,b between 0 and 1")
+        raise WrongValue(f"`background={color}`: give {', '.join(COLORS)}, #rrggbb, or r,g,b between 0 and 1")
     return values[0], values[1], values[2]
 
 
@@ -233,7 +233,7 @@ def _why_not_seen_only(avatar: Avatar, reuse: int) -> str:
 def _check_positive(**values: float | None) -> None:
     for name, value in values.items():
         if value is not None and not 0 < value < 1e6:
-            raise UserError(f"`{name}={value:g}`: give a positive number")
+            raise WrongValue(f"`{name}={value:g}`: give a positive number")
 
 
 def _check_counts(most: int | None, **values: int | None) -> None:
@@ -241,6 +241,6 @@ def _check_counts(most: int | None, **values: int | None) -> None:
         if value is None:
             continue
         if isinstance(value, bool) or int(value) != value or value < 1:
-            raise UserError(f"`{name}={value}`: give a whole number from 1 up")
+            raise WrongValue(f"`{name}={value}`: give a whole number from 1 up")
         if most is not None and value > most:
-            raise UserError(f"`{name}={value}`: at most {most}")
+            raise WrongValue(f"`{name}={value}`: at most {most}")

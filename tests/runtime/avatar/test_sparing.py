@@ -13,8 +13,9 @@ from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.avatar.visibility import seen_from
 from gavatar_runtime.geometry.skinning import skin
 from gavatar_runtime.play.framing import frame_motion
-from gavatar_runtime.play.player import play
-from gavatar_runtime.render.choice import build_rasterizer
+from gavatar_runtime.play.outputs.nowhere import Nowhere
+from gavatar_runtime.play.player import play_images
+from gavatar_runtime.render.renderer import Renderer
 from gavatar_runtime.values.camera import Camera, look_at
 from gavatar_runtime.values.motion import Motion
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 
@@ -31,8 +30,6 @@ from gavatar_runtime.decoding.network import CHUNK
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.kinematics import joint_transforms
 from gavatar_runtime.play.framing import frame_motion, size_on_screen
-from gavatar_runtime.play.player import play
-from gavatar_runtime.play.selection import choose_tier
 from gavatar_runtime.render.choice import build_rasterizer
 from gavatar_runtime.tiers import player_tiers, stored_tiers
 from gavatar_runtime.tiers.blendshape import Coefficients, pose_input, turn_input
@@ -341,35 +338,6 @@ def test_reuse_fades_between_decodes_and_ends_at_each(bundle):
         Avatar(bundle, reuse=0)
 
 
-def test_a_pipelined_player_writes_the_same_images(bundle):
-    class Keep:
-        def __init__(self):
-            self.images = []
-
-        def choose(self, count):
-            return list(range(count))
-
-        def add(self, image):
-            self.images.append(image.copy())
-
-        def close(self):
-            pass
-
-        discard = close
-
-    motion = Motion(
-        np.random.default_rng(0).normal(0, 0.2, (6, 52, 3)).astype(np.float32), np.zeros((6, 3), np.float32), 30.0
-    )
-    results = []
-    for pipelined in (False, True):
-        avatar, writer = Avatar(bundle, tier="blendshape"), Keep()
-        camera = frame_motion(avatar, motion, 64, 64)
-        timings = play(avatar, motion, camera, build_rasterizer(), writer, pipelined=pipelined)
-        assert len(timings) == 6
-        results.append(writer.images)
-    np.testing.assert_array_equal(*results)
-
-
 # only what the camera sees, and detail by size
 
 
@@ -510,44 +478,6 @@ def test_the_player_keeps_a_budget_and_says_what_it_did(bundle, tmp_path, capsys
 
 
 # choosing
-
-
-def arguments(**values):
-    return argparse.Namespace(
-        **{"tier": None, "min_psnr": None, "target_fps": None, "fps": None, "reuse": 1, "seen_only": False} | values
-    )
-
-
-def test_the_player_picks_a_tier_by_closeness_or_speed(bundle):
-    described = [
-        {"name": "full", "frame_ms": 400.0, "worst_psnr_capture": 100.0, "psnr_capture": 100.0},
-        {"name": "blendshape", "frame_ms": 9.0, "worst_psnr_capture": 38.0, "psnr_capture": 41.0},
-        {"name": "baked", "frame_ms": 6.0, "worst_psnr_capture": 30.0, "psnr_capture": 33.0},
-    ]
-    made = dataclasses.replace(bundle.manifest, tiers=described)
-    fake = type("Fake", (), {"manifest": made, "path": "a.gavatar"})()
-    assert choose_tier(fake, arguments()) == "full"
-    assert choose_tier(fake, arguments(tier="baked")) == "baked"
-    assert choose_tier(fake, arguments(min_psnr=35.0)) == "blendshape"
-    assert choose_tier(fake, arguments(min_psnr=99.0)) == "full"
-    assert choose_tier(fake, arguments(target_fps=30.0)) == "blendshape"
-    assert choose_tier(fake, arguments(target_fps=150.0)) == "baked"
-    with pytest.raises(UserError, match="the fastest is blendshape at 111"):
-        choose_tier(fake, arguments(target_fps=150.0, min_psnr=35.0))
-    with pytest.raises(UserError, match="one or the other"):
-        choose_tier(fake, arguments(tier="baked", min_psnr=35.0))
-    # the rate of a video is a wish: the closest that reaches it, else the fastest
-    assert choose_tier(fake, arguments(fps=2.0)) == "full"
-    assert choose_tier(fake, arguments(fps=30.0)) == "blendshape"
-    assert choose_tier(fake, arguments(fps=1000.0)) == "baked"
-    assert choose_tier(fake, arguments(fps=150.0, min_psnr=35.0)) == "blendshape"
-    assert choose_tier(fake, arguments(fps=24.0, target_fps=150.0)) == "baked"
-    assert choose_tier(fake, arguments(fps=150.0, tier="full")) == "full"
-    assert choose_tier(fake, arguments(fps=150.0, reuse=2)) == choose_tier(fake, arguments(fps=9.0, seen_only=True))
-    fake.manifest = dataclasses.replace(made, tiers=[])
-    assert choose_tier(fake, arguments(fps=30.0)) == "full"  # a bundle of one tier plays as it is
-    with pytest.raises(UserError, match="holds no measured tiers"):
-        choose_tier(fake, arguments(min_psnr=35.0))
 
 
 def test_only_what_is_beaten_in_both_is_dominated():

@@ -6,11 +6,29 @@ Every module of this folder that registers a class adds one; nothing else has to
 import importlib
 import pkgutil
 
-from .output import OUTPUTS, FrameFormat, GaussianOutput, ImageOutput, Output, find_output, open_output, output_called
+from .output import (
+    OUTPUTS,
+    FrameFormat,
+    GaussianOutput,
+    ImageOutput,
+    Output,
+    find_output,
+    open_output,
+    output_called,
+    save_gaussians,
+)
 
 __all__ = [
-    "OUTPUTS", "FrameFormat", "GaussianOutput", "ImageOutput", "Output", "find_output", "open_output", "output_called",
-]  # fmt: skip
+    "OUTPUTS",
+    "FrameFormat",
+    "GaussianOutput",
+    "ImageOutput",
+    "Output",
+    "find_output",
+    "open_output",
+    "output_called",
+    "save_gaussians",
+]
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")

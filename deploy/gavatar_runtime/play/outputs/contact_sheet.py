@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import UserError
+from ...errors import UserError, WrongValue
 from ...formats.files import atomic, temporary_beside
 from ...formats.png import write_png
 from ...render.pixels import to_bytes
@@ -34,7 +34,7 @@ class ContactSheet(ImageOutput):
         super().__init__(path)
         for name, value in dataclasses.asdict(options).items():
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise UserError(f"`output.{name}={value}`: give a whole number from 1 up")
+                raise WrongValue(f"`output.{name}={value}`: give a whole number from 1 up")
         self._options = options
         self._write = write_png if path.suffix.lower() == ".png" else _jpeg_writer(path)
         self._background = to_bytes(np.asarray(frames.background))

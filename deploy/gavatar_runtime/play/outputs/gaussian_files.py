@@ -28,7 +28,7 @@ class GaussianFiles(GaussianOutput):
 
     @abc.abstractmethod
     def encode(self, gaussians: Gaussians) -> bytes:
-        """The whole file. Fields are NumPy arrays of finite numbers or None, as `Gaussians` has them; no normals."""
+        """The whole file. Fields are float32 arrays of finite numbers or None, as `Gaussians` has them; no normals."""
 
     def choose(self, count: int) -> list[int]:
         if isinstance(self._files, OneFile) and count > 1:
@@ -55,9 +55,10 @@ class GaussianFiles(GaussianOutput):
 
 
 def finite(gaussians: Gaussians) -> Gaussians:
-    """Those whose fields are all finite and whose scales are not negative, without normals."""
+    """As float32, those whose fields are all finite and whose scales are not negative; without normals."""
     fields = {field.name: getattr(gaussians, field.name) for field in dataclasses.fields(gaussians)}
-    arrays = {name: np.asarray(a) for name, a in fields.items() if a is not None and name != "normals"}
+    with np.errstate(over="ignore"):  # what is too large for float32 becomes infinite
+        arrays = {n: np.asarray(a, np.float32) for n, a in fields.items() if a is not None and n != "normals"}
     good = np.ones(len(gaussians), bool)
     for name, array in arrays.items():
         sound = np.isfinite(array) & (array >= 0) if name == "scales" else np.isfinite(array)

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Generic, Literal, TypeVar, cast
 import numpy as np
 
 from ...components import Component, Registry
-from ...errors import UserError, did_you_mean
+from ...errors import WrongValue, did_you_mean
 from ...plugins import load_entry_points
 from ...values.gaussians import Gaussians
 
@@ -114,19 +114,45 @@ def open_output(
     return OUTPUTS.build(_find(path, name).name, options, path=Path(path), frames=frames)
 
 
+def save_gaussians(
+    path: str | os.PathLike,
+    gaussians: Gaussians,
+    *,
+    name: str | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> tuple[str, ...]:
+    """Write the Gaussians of one frame, in the world, to `path`, and return what there is to note of it.
+
+    Raises UserError as `open_output` does, and for an output of images.
+    """
+    if find_output(path, name).wants != GaussianOutput.wants:
+        formats = [s for c in OUTPUTS if _class_of(c).wants == GaussianOutput.wants for s in _class_of(c).suffixes]
+        raise WrongValue(
+            f"{path} is an output of images, not of Gaussians: {_choices(suffix_of(path), tuple(formats))}"
+        )
+    output = open_output(path, FrameFormat(fps=1.0), name=name, options=options)
+    try:
+        output.choose(1)
+        output.add(gaussians)
+        output.close()
+    finally:
+        output.discard()
+    return tuple(output.notes)
+
+
 def _find(path: str | os.PathLike, name: str | None) -> Component[Output[Any]]:
     suffix = suffix_of(path)
     if name is not None:
         suffixes = output_called(name).suffixes
         if suffixes and suffix not in suffixes:
-            raise UserError(f"output '{name}' cannot write '{path}': {_choices(suffix, suffixes)}")
+            raise WrongValue(f"output '{name}' cannot write '{path}': {_choices(suffix, suffixes)}")
         return OUTPUTS[name]
     if not _writers_of(suffix):
         load_entry_points()
     found = _writers_of(suffix)
     if not found:
         suffixes = tuple(s for component in OUTPUTS for s in _class_of(component).suffixes)
-        raise UserError(f"cannot write '{path}': {_choices(suffix, suffixes)} (a name without suffix is a folder)")
+        raise WrongValue(f"cannot write '{path}': {_choices(suffix, suffixes)} (a name without suffix is a folder)")
     return found[0]
 
 

@@ -34,8 +34,8 @@ class PlyFile(GaussianFiles):
     def encode(self, gaussians: Gaussians) -> bytes:
         count = len(gaussians)
         table = np.zeros((count, len(FIELDS)), "<f4")
-        table[:, 0:3] = gaussians.means * np.float32([-1, -1, 1])
-        table[:, 6:9] = (gaussians.colors - np.float32(0.5)) / np.float32(HARMONIC)
+        table[:, 0:3] = gaussians.means * (-1, -1, 1)
+        table[:, 6:9] = (gaussians.colors - 0.5) / HARMONIC
         table[:, 9] = _logit(np.ones(count) if gaussians.opacities is None else gaussians.opacities)
         scales = gaussians.scales[:, None] if gaussians.scales.ndim == 1 else gaussians.scales
         table[:, 10:13] = np.log(np.maximum(scales, SMALLEST))
