@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from dots import Dots
 
-from gavatar_runtime.components import Component, NoOptions
 from gavatar_runtime.render.rasterizers import PLAYER_RASTERIZERS
 
 
@@ -32,9 +32,11 @@ def dynamic(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def dots(monkeypatch) -> None:
+def dots() -> Iterator[None]:
     """The stand-in is registered as `dots` for the length of a test."""
-    monkeypatch.setitem(PLAYER_RASTERIZERS._components, "dots", Component("dots", Dots, NoOptions, "", __name__))
+    PLAYER_RASTERIZERS.register("dots")(Dots)
+    yield
+    PLAYER_RASTERIZERS.forget("dots")
 
 
 @pytest.fixture

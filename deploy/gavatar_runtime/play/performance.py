@@ -10,18 +10,17 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from .. import native_library
 from ..avatar.adaptive import AdaptiveAvatar
 from ..avatar.played import PlayedAvatar
 from ..bundle import Bundle, read_bundle
 from ..errors import WrongValue
-from ..motions import read_motion
+from ..motions import MOTIONS, read_motion
+from ..render.choice import best_rasterizer, player_rasterizers
 from ..render.rasterizers import Rasterizer
 from ..values.camera import Camera
 from ..values.motion import Motion
 from .defaults import AUTO
-from .outputs import FrameFormat, Output, find_output, open_output, output_called
-from .outputs.video_encoder import INSTALL, find_encoder
+from .outputs import FrameFormat, Output, default_output, find_output, open_output, output_called
 from .player import Progress, Timings, play_gaussians, play_images
 from .staging import Clip, Level, View, differing
 
@@ -59,7 +58,7 @@ class PlayReport:
 
 def perform(
     avatar: str | os.PathLike | Bundle | PlayedAvatar,
-    motion: str | os.PathLike | Motion = "turn",
+    motion: str | os.PathLike | Motion | None = None,
     out: str | os.PathLike | None = None,
     *,
     output: str | None = None, output_options: Mapping[str, Any] | None = None,
@@ -91,40 +90,43 @@ def perform(
     view = View(size, width, height, camera, orbit, background, rasterizer, rasterizer_options)
     level = Level(tier, min_psnr, target_fps, budget_ms, uv, seen_only, reuse, threads)
     notes = _Notes(tell)
-    motion = clip.of(motion if isinstance(motion, Motion) else read_motion(motion))
+    motion = clip.of(motion if isinstance(motion, Motion) else read_motion(motion or MOTIONS.default))
     source = read_bundle(avatar) if isinstance(avatar, (str, os.PathLike)) else avatar
     out = _default_path(source, motion, output, notes) if out is None else out
     drawn = find_output(out, output).wants == "image"
     if not drawn:
         _check_undrawn(out, view, level, notes)
+    elif rasterizer == AUTO:
+        notes.add(_slower_rasterizer())
     played = _opened(source, clip, view, level, motion)
     motion, ignored = clip.fitted(played, motion)
-    if ignored:
-        notes.add(f"the body has no {_listed(ignored)}; the motion's are ignored")
+    notes.add(f"the body has no {_listed(ignored)}; the motion's are ignored" if ignored else "")
     opened = partial(open_output, out, name=output, options=output_options)
-    act = _images(played, motion, opened, view, threads, notes) if drawn else _gaussians(played, motion, opened)
-    ready = perf_counter() - start
-    timings = act.play(progress=progress)
-    for note in act.output.notes:
+    ready = _images(played, motion, opened, view, threads) if drawn else _gaussians(played, motion, opened)
+    seconds_to_ready = perf_counter() - start
+    timings = ready.play(progress=progress)
+    for note in ready.output.notes:
         notes.add(note)
-    return _report(act, played, motion, threads, ignored, tuple(notes.all), ready, timings)
+    return _report(ready, played, motion, threads, ignored, tuple(notes.all), seconds_to_ready, timings)
 
 
 class _Notes:
-    """Sentences for the user, told as they come up and kept."""
+    """Sentences for the user, told as they come up and kept; '' is none."""
 
     def __init__(self, tell: Callable[[str], None] | None):
         self.all: list[str] = []
         self._tell = tell
 
     def add(self, note: str) -> None:
+        if not note:
+            return
         self.all.append(note)
         if self._tell is not None:
             self._tell(note)
 
 
 @dataclasses.dataclass(frozen=True)
-class _Act:
+class _Ready:
     """What is ready to be played: what does it, where to, and the class that draws, if any."""
 
     play: Callable[..., Timings]
@@ -139,52 +141,48 @@ def _images(
     opened: Callable[[FrameFormat], Output[Any]],
     view: View,
     threads: int | None,
-    notes: _Notes,
-) -> _Act:
+) -> _Ready:
     cameras = view.cameras(avatar, motion)
     renderer = view.renderer(avatar, threads)
-    available, why = native_library.available()
-    if view.rasterizer == AUTO and not available:
-        notes.add(f"rasterizer numpy, many times slower than native: {why}")
     frames = FrameFormat(motion.fps, cameras[0].width, cameras[0].height, view.color)
     output = opened(frames)
     play = partial(play_images, renderer, motion, cameras, output, background=view.color)
-    return _Act(play, output, frames, type(renderer.rasterizer).__name__)
+    return _Ready(play, output, frames, type(renderer.rasterizer).__name__)
 
 
-def _gaussians(avatar: PlayedAvatar, motion: Motion, opened: Callable[[FrameFormat], Output[Any]]) -> _Act:
+def _gaussians(avatar: PlayedAvatar, motion: Motion, opened: Callable[[FrameFormat], Output[Any]]) -> _Ready:
     frames = FrameFormat(motion.fps)
     output = opened(frames)
-    return _Act(partial(play_gaussians, avatar, motion, output), output, frames)
+    return _Ready(partial(play_gaussians, avatar, motion, output), output, frames)
 
 
 def _report(
-    act: _Act,
+    ready: _Ready,
     avatar: PlayedAvatar,
     motion: Motion,
     threads: int | None,
     ignored: tuple[str, ...],
     notes: tuple[str, ...],
-    ready: float,
+    seconds_to_ready: float,
     timings: Timings,
 ) -> PlayReport:
     adaptive = avatar if isinstance(avatar, AdaptiveAvatar) else None
     return PlayReport(
         avatar=avatar.name,
         motion=motion.name,
-        output=str(act.output.path),
+        output=str(ready.output.path),
         frames=len(timings),
-        width=act.frames.width or None,
-        height=act.frames.height or None,
+        width=ready.frames.width or None,
+        height=ready.frames.height or None,
         fps=motion.fps,
         gaussians=len(avatar),
         tier=avatar.tier,
         uv=avatar.uv,
-        rasterizer=act.rasterizer,
+        rasterizer=ready.rasterizer,
         threads=threads,
         ignored_joints=ignored,
         notes=notes,
-        ready_seconds=ready,
+        ready_seconds=seconds_to_ready,
         timings=timings,
         budget_ms=adaptive and 1000 * adaptive.budget_s,
         levels=tuple(adaptive.report()) if adaptive else (),
@@ -203,15 +201,26 @@ def _opened(source: Bundle | PlayedAvatar, clip: Clip, view: View, level: Level,
 
 
 def _default_path(source: Bundle | PlayedAvatar, motion: Motion, output: str | None, notes: _Notes) -> str:
-    """A name beside the bundle: a video, but where none can be written frames, or what the named output writes."""
+    """A name beside the bundle, for the output of that name or the default one."""
     path = Path(source.path if isinstance(source, Bundle) else source.bundle.path).resolve()
     name = f"{path.parent / path.stem}_{motion.name}"
     if output is not None:
         return name + next(iter(output_called(output).suffixes), "")
-    if find_encoder() is not None:
-        return f"{name}.mp4"
-    notes.add(f"frames go to {name}/: to write a video takes OpenCV ({INSTALL}) or a program ffmpeg")
-    return f"{name}/"
+    chosen, preferred = default_output()
+    place = name + output_called(chosen.name).suffixes[0]
+    if chosen is not preferred:
+        notes.add(f"{place} is {chosen.summary}: {preferred.summary} {preferred.missing()}")
+    return place
+
+
+def _slower_rasterizer() -> str:
+    """A note where `auto` is not the rasterizer that is preferred, '' where it is."""
+    known = [component for component in player_rasterizers() if component.default_traits is not None]
+    preferred = max(known, key=lambda component: component.default_traits.preference)
+    why = preferred.missing()
+    return (
+        f"rasterizer {best_rasterizer()}, for {preferred.name} ({preferred.summary}) is missing: {why}" if why else ""
+    )
 
 
 def _check_undrawn(out: str | os.PathLike, view: View, level: Level, notes: _Notes) -> None:

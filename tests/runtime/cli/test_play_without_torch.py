@@ -69,7 +69,7 @@ def test_playing_without_opencv_and_ffmpeg_writes_frames_and_sheets(dynamic, tmp
 
     done = play_there()
     assert done.returncode == 0, done.stderr
-    assert f"note: frames go to {tmp_path}/anna_turn/: to write a video takes OpenCV" in done.stderr
+    assert f"note: {tmp_path}/anna_turn/ is a folder of numbered .png frames: an .mp4 video takes OpenCV" in done.stderr
     frames = sorted((tmp_path / "anna_turn").iterdir())
     assert [path.name for path in frames] == ["000000.png", "000001.png"]
     assert play_there("--out", tmp_path / "sheet.png").returncode == 0

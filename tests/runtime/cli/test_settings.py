@@ -18,7 +18,7 @@ def test_settings_go_to_their_group():
         "motion.seconds=1.5",
         "rasterizer.fast=true",
         "motion.up=z",
-        "motion.mapping=a=b.json",
+        "motion.mapping=a=b",
     ]
     assert parse_settings(settings, GROUPS) == {
         "motion": {"waves": 3, "seconds": 1.5, "up": "z", "mapping": "a=b"},

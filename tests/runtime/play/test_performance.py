@@ -20,8 +20,10 @@ from gavatar_runtime.bundle import read_bundle
 from gavatar_runtime.cli.play import OURS
 from gavatar_runtime.cli.play_arguments import parser
 from gavatar_runtime.errors import UserError, WrongValue
+from gavatar_runtime.motions import MOTIONS
 from gavatar_runtime.play.outputs import video_encoder
 from gavatar_runtime.play.performance import perform
+from gavatar_runtime.render.rasterizers import native
 
 pytest.importorskip("onnx", reason="the hand-made networks need onnx")
 from make_bundle import still
@@ -55,6 +57,10 @@ def test_a_motion_may_be_a_file_and_what_the_body_lacks_is_told_and_kept(static,
     report = perform(static, tmp_path / "m.npz", tmp_path / "a.png", tell=told.append, **SMALL)
     assert report.ignored_joints == ("left_hand", "right_hand")
     assert report.notes == tuple(told) == ("the body has no left_hand, right_hand; the motion's are ignored",)
+
+
+def test_the_default_motion_is_that_of_the_registry(static, tmp_path):
+    assert perform(static, out=tmp_path / "a.png", frames=slice(1), **SMALL).motion == MOTIONS.default
 
 
 def test_progress_is_called_after_each_frame(static, tmp_path):
@@ -107,13 +113,11 @@ def test_by_default_a_video_lies_beside_the_bundle_and_frames_where_none_can_be_
     bundle = shutil.copy(static, tmp_path / "anna.gavatar")
     report = perform(bundle, still(2, name="walk"), **SMALL)
     assert report.output == str(tmp_path / "anna_walk.mp4")
-    monkeypatch.setattr("gavatar_runtime.play.performance.find_encoder", lambda: None)
+    monkeypatch.setattr("gavatar_runtime.play.outputs.video_file.find_encoder", lambda: None)
     report = perform(Avatar(bundle), still(2, name="walk"), **SMALL)
     assert (tmp_path / "anna_walk" / "000001.png").exists()
-    assert report.notes == (
-        f"frames go to {tmp_path}/anna_walk/: to write a video takes OpenCV ({video_encoder.INSTALL}) or a program "
-        "ffmpeg",
-    )
+    takes = f"takes OpenCV ({video_encoder.INSTALL}) or a program ffmpeg"
+    assert report.notes == (f"{tmp_path}/anna_walk/ is a folder of numbered .png frames: an .mp4 video {takes}",)
 
 
 @pytest.mark.parametrize("available", [False, True])
@@ -121,10 +125,11 @@ def test_a_slow_rasterizer_is_noted_where_it_was_not_chosen(static, tmp_path, mo
     if available and not native_library.available()[0]:
         pytest.skip(native_library.available()[1])
     if not available:
-        monkeypatch.setattr(native_library, "available", lambda: (False, "the kernel was not compiled"))
-    notes = perform(static, still(1), tmp_path / "a.png", size=8).notes
-    slow = ("rasterizer numpy, many times slower than native: the kernel was not compiled",)
-    assert notes == (() if available else slow)
+        monkeypatch.setattr(native, "available", lambda: (False, "the kernel was not compiled"))
+    report = perform(static, still(1), tmp_path / "a.png", size=8)
+    assert report.rasterizer == ("NativeRasterizer" if available else "NumpyRasterizer")
+    slow = "rasterizer numpy, for native (exact, compiled, many times faster than numpy) is missing: the kernel was not"
+    assert report.notes == (() if available else (f"{slow} compiled",))
     assert perform(static, still(1), tmp_path / "a.png", size=8, rasterizer="numpy").notes == ()
     assert perform(static, still(1), tmp_path / "a.ply").notes == ()  # nothing is drawn
 

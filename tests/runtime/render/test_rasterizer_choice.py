@@ -6,21 +6,21 @@ import dataclasses
 
 import pytest
 
-from gavatar_runtime import native_library
 from gavatar_runtime.components import Registry
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.render import rasterizers
 from gavatar_runtime.render.choice import build_rasterizer
+from gavatar_runtime.render.rasterizers import RasterizerTraits
 
 
 def test_a_rasterizer_that_takes_threads_is_given_them_and_others_are_not(monkeypatch):
-    registry = Registry("rasterizer")
+    registry = Registry("rasterizer", RasterizerTraits)
 
     @dataclasses.dataclass
     class WithThreads:
         threads: int = 0
 
-    @registry.register("native", config=WithThreads)
+    @registry.register("native", config=WithThreads, missing=lambda: "not built", traits=RasterizerTraits(preference=2))
     class Absent:
         def __init__(self, config):
             raise UserError("the native kernel is not built")
@@ -30,7 +30,7 @@ def test_a_rasterizer_that_takes_threads_is_given_them_and_others_are_not(monkey
         def __init__(self, config):
             self.threads = config.threads
 
-    @registry.register("numpy")
+    @registry.register("numpy", traits=RasterizerTraits(preference=1))
     class Plain:
         def __init__(self, config):
             pass
@@ -41,7 +41,6 @@ def test_a_rasterizer_that_takes_threads_is_given_them_and_others_are_not(monkey
     assert isinstance(build_rasterizer("numpy", threads=3), Plain)
     assert build_rasterizer("many", trained={"threads": 4, "fast": True}).threads == 4  # of a manifest: what it knows
     assert build_rasterizer("many", {"threads": 2}, trained={"threads": 4}).threads == 2
-    monkeypatch.setattr(native_library, "available", lambda: (False, "the native kernel is not built"))
     assert isinstance(build_rasterizer("auto"), Plain)
     with pytest.raises(UserError, match="not built"):
         build_rasterizer("native")

@@ -10,12 +10,12 @@ from ...components import NoOptions
 from ...errors import UserError
 from ...formats.png import write_png
 from .frame_files import NumberedFiles
-from .output import OUTPUTS, FrameFormat, ImageOutput, suffix_of
+from .output import OUTPUTS, FrameFormat, ImageOutput, OutputTraits, suffix_of
 
 FRAME_NAME = "%06d.png"
 
 
-@OUTPUTS.register("frames", summary="a folder of numbered .png frames")
+@OUTPUTS.register("frames", summary="a folder of numbered .png frames", traits=OutputTraits(preference=1))
 class FrameFolder(ImageOutput):
     """A folder, of files 000000.png, 000001.png, ..., or as its name has it: `walk/frame_%03d.png`."""
 

@@ -84,7 +84,20 @@ class GaussianOutput(Output[Gaussians]):
     wants = "gaussians"
 
 
-OUTPUTS: Registry[Output[Any]] = Registry("output")
+@dataclasses.dataclass(frozen=True)
+class OutputTraits:
+    """preference: above 0, it may be taken where none is asked for, the highest of those that can be had."""
+
+    preference: int = 0
+
+
+OUTPUTS: Registry[Output[Any]] = Registry("output", OutputTraits)
+
+
+def default_output() -> tuple[Component[Output[Any]], Component[Output[Any]]]:
+    """The output that is taken where none is asked for, and the one that would be if everything could be had here."""
+    ranked = sorted((c for c in OUTPUTS if c.default_traits), key=lambda c: -c.default_traits.preference)
+    return next(component for component in ranked if not component.missing()), ranked[0]
 
 
 def output_called(name: str) -> type[Output[Any]]:

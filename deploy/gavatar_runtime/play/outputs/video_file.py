@@ -10,7 +10,7 @@ from ...components import NoOptions
 from ...errors import UserError
 from ...formats.files import put_in_place, temporary_beside
 from ...render.pixels import to_bytes
-from .output import OUTPUTS, FrameFormat, ImageOutput
+from .output import OUTPUTS, FrameFormat, ImageOutput, OutputTraits
 from .video_encoder import INSTALL, find_encoder, require_encoder
 
 NEEDS = f"OpenCV ({INSTALL}) or a program ffmpeg"
@@ -20,7 +20,7 @@ def _missing() -> str:
     return "" if find_encoder() else f"takes {NEEDS}"
 
 
-@OUTPUTS.register("video", summary="an .mp4 video", needs=NEEDS, missing=_missing)
+@OUTPUTS.register("video", summary="an .mp4 video", needs=NEEDS, missing=_missing, traits=OutputTraits(preference=2))
 class VideoFile(ImageOutput):
     """Odd sides are padded by one row or column of background: the codec halves its colour planes."""
 

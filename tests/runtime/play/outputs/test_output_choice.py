@@ -13,6 +13,7 @@ from gavatar_runtime.play.outputs import (
     OUTPUTS,
     FrameFormat,
     ImageOutput,
+    OutputTraits,
     find_output,
     open_output,
     output,
@@ -72,7 +73,7 @@ def test_a_name_chooses_and_must_fit_the_suffix(tmp_path):
 @pytest.fixture
 def own(monkeypatch) -> Registry:
     """A registry for the length of a test."""
-    registry: Registry = Registry("output")
+    registry: Registry = Registry("output", OutputTraits)
     monkeypatch.setattr(output, "OUTPUTS", registry)
     return registry
 
@@ -93,6 +94,14 @@ def test_an_output_without_suffixes_is_chosen_by_its_name_alone(own, tmp_path):
     assert open_output("anywhere.xyz", FRAMES, name="window").size == (16, 16)
     with pytest.raises(WrongValue, match=r"cannot write 'anywhere\.xyz'"):
         open_output("anywhere.xyz", FRAMES)
+
+
+def test_the_default_is_the_preferred_one_that_can_be_had(own):
+    own.register("fine", missing=lambda: "takes a film", traits=OutputTraits(preference=3))(ImageOutput)
+    own.register("plain", traits=OutputTraits(preference=1))(ImageOutput)
+    own.register("odd", traits=OutputTraits(preference=2), missing=lambda: "takes a moon")(ImageOutput)
+    chosen, preferred = output.default_output()
+    assert (chosen.name, preferred.name, preferred.missing()) == ("plain", "fine", "takes a film")
 
 
 def test_what_is_registered_must_be_an_output(own):
