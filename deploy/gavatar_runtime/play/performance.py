@@ -217,10 +217,8 @@ def _slower_rasterizer() -> str:
     """A note where `auto` is not the rasterizer that is preferred, '' where it is."""
     known = [component for component in player_rasterizers() if component.default_traits is not None]
     preferred = max(known, key=lambda component: component.default_traits.preference)
-    why = preferred.missing()
-    return (
-        f"rasterizer {best_rasterizer()}, for {preferred.name} ({preferred.summary}) is missing: {why}" if why else ""
-    )
+    why, drawn_by = preferred.missing(), best_rasterizer()
+    return f"rasterizer {drawn_by}, for {preferred.name} ({preferred.summary}) is missing: {why}" if why else ""
 
 
 def _check_undrawn(out: str | os.PathLike, view: View, level: Level, notes: _Notes) -> None:
