@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 from ..avatar.adaptive import AdaptiveAvatar
 from ..avatar.played import PlayedAvatar
@@ -58,7 +58,7 @@ class PlayReport:
 
 def perform(
     avatar: str | os.PathLike | Bundle | PlayedAvatar,
-    motion: str | os.PathLike | Motion | None = None,
+    motion: str | Path | Motion | None = None,
     out: str | os.PathLike | None = None,
     *,
     output: str | None = None, output_options: Mapping[str, Any] | None = None,
@@ -68,7 +68,7 @@ def perform(
     background: str | Sequence[float] = "white",
     rasterizer: str | Rasterizer = AUTO, rasterizer_options: Mapping[str, Any] | None = None,
     tier: str | None = None, min_psnr: float | None = None, target_fps: float | None = None,
-    budget_ms: float | None = None, uv: int | str | None = None, seen_only: bool = False, reuse: int = 1,
+    budget_ms: float | None = None, uv: int | Literal["auto"] | None = None, seen_only: bool = False, reuse: int = 1,
     threads: int | None = None,
     progress: Progress | None = None, tell: Callable[[str], None] | None = None,
 ) -> PlayReport:  # fmt: skip
@@ -184,7 +184,7 @@ def _report(
         notes=notes,
         ready_seconds=seconds_to_ready,
         timings=timings,
-        budget_ms=adaptive and 1000 * adaptive.budget_s,
+        budget_ms=1000 * adaptive.budget_s if adaptive else None,
         levels=tuple(adaptive.report()) if adaptive else (),
     )
 
@@ -215,8 +215,8 @@ def _default_path(source: Bundle | PlayedAvatar, motion: Motion, output: str | N
 
 def _slower_rasterizer() -> str:
     """A note where `auto` is not the rasterizer that is preferred, '' where it is."""
-    known = [component for component in player_rasterizers() if component.default_traits is not None]
-    preferred = max(known, key=lambda component: component.default_traits.preference)
+    traits = {component.name: component.default_traits for component in player_rasterizers()}
+    preferred = player_rasterizers()[max(traits, key=lambda name: traits[name].preference if traits[name] else 0)]
     why, drawn_by = preferred.missing(), best_rasterizer()
     return f"rasterizer {drawn_by}, for {preferred.name} ({preferred.summary}) is missing: {why}" if why else ""
 

@@ -17,7 +17,7 @@ from ..render.renderer import Renderer
 from ..values.camera import Camera
 from ..values.gaussians import Gaussians
 from ..values.motion import Motion
-from .outputs.output import Frame, GaussianOutput, ImageOutput, Output
+from .outputs.output import Frame, Output
 
 WARM_UP = 3  # frames left out of the medians where there are more: first use of buffers and networks
 OTHER, WRITE = "other", "write"
@@ -69,7 +69,7 @@ def play_images(
     renderer: Renderer,
     motion: Motion,
     cameras: Camera | Sequence[Camera],
-    output: ImageOutput,
+    output: Output[np.ndarray],
     *,
     background: Sequence[float] = (1.0, 1.0, 1.0),
     progress: Progress | None = None,
@@ -84,14 +84,14 @@ def play_images(
     cameras = [cameras] * len(motion) if isinstance(cameras, Camera) else cameras
     if len(cameras) != len(motion):
         raise ValueError(f"{len(cameras)} cameras for {len(motion)} frames")
-    frames = _Images(renderer, motion, cameras, np.asarray(background, np.float32))
+    frames = _Images(renderer, motion, cameras, background)
     return _play(frames, output, progress, pipelined)
 
 
 def play_gaussians(
     avatar: PlayedAvatar,
     motion: Motion,
-    output: GaussianOutput,
+    output: Output[Gaussians],
     *,
     progress: Progress | None = None,
     pipelined: bool = True,
@@ -120,7 +120,7 @@ class _Frames(abc.ABC, Generic[Frame]):
 
 
 class _Images(_Frames[np.ndarray]):
-    def __init__(self, renderer: Renderer, motion: Motion, cameras: Sequence[Camera], background: np.ndarray):
+    def __init__(self, renderer: Renderer, motion: Motion, cameras: Sequence[Camera], background: Sequence[float]):
         super().__init__(renderer.avatar, motion)
         self._renderer, self._cameras, self._background = renderer, cameras, background
         self._kept: np.ndarray | None = None
@@ -165,12 +165,13 @@ def _play(frames: _Frames[Frame], output: Output[Frame], progress: Progress | No
         return perf_counter() - start
 
     try:
-        ahead = decoding.submit(frames.decode, wanted[0]) if wanted else None
-        start, written = perf_counter(), None
+        ahead = [decoding.submit(frames.decode, frame) for frame in wanted[:1]]
+        written: Future[float] | None = None
+        start = perf_counter()
         for done, frame in enumerate(wanted, 1):
-            gaussians, decoded = ahead.result()
+            gaussians, decoded = ahead.pop().result()
             if done < len(wanted) and pipelined:
-                ahead = decoding.submit(frames.decode, wanted[done])
+                ahead.append(decoding.submit(frames.decode, wanted[done]))
             result, finished = frames.finish(gaussians, frame)
             stages = {**decoded, **finished}
             drawn = perf_counter()
@@ -183,7 +184,7 @@ def _play(frames: _Frames[Frame], output: Output[Frame], progress: Progress | No
                 progress(done, len(wanted))
             start = perf_counter()
             if done < len(wanted) and not pipelined:
-                ahead = decoding.submit(frames.decode, wanted[done])
+                ahead.append(decoding.submit(frames.decode, wanted[done]))
         if written is not None:
             timings.stages[WRITE] = [*timings.stages[WRITE][1:], written.result()]
         output.close()

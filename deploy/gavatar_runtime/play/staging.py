@@ -7,7 +7,8 @@ import dataclasses
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from numbers import Integral, Real
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -114,7 +115,7 @@ class View:
             camera = frame_motion(avatar, motion, width, height, azimuth=azimuth, orbit=self.circles)
         elif self.size or self.width or self.height:
             camera = fitted_to(camera, width, height)
-        if not self.circles:
+        if self.orbit is None or self.orbit is False:
             return [camera] * len(motion)
         points = body_points(avatar, motion)
         period = len(motion) if self.orbit is True else self.orbit * motion.fps
@@ -131,10 +132,10 @@ class View:
         return self.camera if isinstance(self.camera, Camera) else None
 
     def _azimuth(self) -> float:
-        if self.camera in DIRECTIONS:
+        if isinstance(self.camera, str) and self.camera in DIRECTIONS:
             return DIRECTIONS[self.camera]
         try:
-            value = float(self.camera)
+            value = float(cast("str | float", self.camera))
         except (TypeError, ValueError):
             value = math.nan
         if abs(value) <= 1e6:
@@ -160,14 +161,16 @@ class Level:
     min_psnr: float | None = None
     target_fps: float | None = None
     budget_ms: float | None = None
-    uv: int | str | None = None
+    uv: int | Literal["auto"] | None = None
     seen_only: bool = False
     reuse: int = 1
     threads: int | None = None
 
     def __post_init__(self) -> None:
         _check_positive(min_psnr=self.min_psnr, target_fps=self.target_fps, budget_ms=self.budget_ms)
-        _check_counts(None, uv=None if self.uv == AUTO else self.uv, reuse=self.reuse, threads=self.threads)
+        _check_counts(None, reuse=self.reuse, threads=self.threads)
+        if self.uv != AUTO:
+            _check_counts(None, uv=cast("int | None", self.uv))
         if self.budget_ms and (self.uv or self.reuse > 1 or self.seen_only):
             raise WrongValue(
                 "`budget_ms` chooses the level of detail and the reuse: leave `uv`, `reuse` and `seen_only` out"
@@ -179,12 +182,16 @@ class Level:
         The frame rate of the clip chooses a tier where nothing else does; not with reuse or seen_only, which need
         networks. Raises UserError for what the bundle cannot do.
         """
-        wish = clip.fps if self.reuse == 1 and not self.seen_only else None
-        chosen = {"tier": self.tier, "min_psnr": self.min_psnr, "target_fps": self.target_fps, "wished_fps": wish}
-        tier = choose_tier(bundle, **chosen)
+        tier = choose_tier(
+            bundle,
+            tier=self.tier,
+            min_psnr=self.min_psnr,
+            target_fps=self.target_fps,
+            wished_fps=clip.fps if self.reuse == 1 and not self.seen_only else None,
+        )
         if self.budget_ms:
             return AdaptiveAvatar(bundle, self.budget_ms / 1000, tier=tier, threads=self.threads)
-        uv = _uv_on_screen(bundle, clip, view, motion) if self.uv == AUTO else self.uv
+        uv = _uv_on_screen(bundle, clip, view, motion) if isinstance(self.uv, str) else self.uv
         avatar = Avatar(bundle, tier=tier, uv=uv, reuse=self.reuse, seen_only=self.seen_only, threads=self.threads)
         if self.seen_only and not avatar.seen_only:
             raise WrongValue(f"`seen_only`: {_why_not_seen_only(avatar, self.reuse)}")
@@ -232,15 +239,16 @@ def _why_not_seen_only(avatar: Avatar, reuse: int) -> str:
 
 def _check_positive(**values: float | None) -> None:
     for name, value in values.items():
-        if value is not None and not 0 < value < 1e6:
-            raise WrongValue(f"`{name}={value:g}`: give a positive number")
+        if value is not None and not (isinstance(value, Real) and 0 < value < 1e6):
+            shown = f"{value:g}" if isinstance(value, Real) else value
+            raise WrongValue(f"`{name}={shown}`: give a positive number")
 
 
 def _check_counts(most: int | None, **values: int | None) -> None:
     for name, value in values.items():
         if value is None:
             continue
-        if isinstance(value, bool) or int(value) != value or value < 1:
+        if isinstance(value, bool) or not isinstance(value, Integral) or value < 1:
             raise WrongValue(f"`{name}={value}`: give a whole number from 1 up")
         if most is not None and value > most:
             raise WrongValue(f"`{name}={value}`: at most {most}")

@@ -96,8 +96,12 @@ OUTPUTS: Registry[Output[Any]] = Registry("output", OutputTraits)
 
 def default_output() -> tuple[Component[Output[Any]], Component[Output[Any]]]:
     """The output that is taken where none is asked for, and the one that would be if everything could be had here."""
-    ranked = sorted((c for c in OUTPUTS if c.default_traits), key=lambda c: -c.default_traits.preference)
+    ranked = sorted(OUTPUTS, key=_preference, reverse=True)
     return next(component for component in ranked if not component.missing()), ranked[0]
+
+
+def _preference(component: Component[Output[Any]]) -> int:
+    return 0 if component.default_traits is None else component.default_traits.preference
 
 
 def output_called(name: str) -> type[Output[Any]]:
