@@ -23,13 +23,13 @@ def main(argv: list[str] | None = None) -> int:
         settings["motion"]["rest"] = arguments["rest"]
 
     from ..formats.files import write_json
-    from ..motions import read_motion
+    from ..motions import MOTIONS, read_motion
     from ..play.performance import perform
     from .play_report import as_json, show_progress, table
 
     quiet, flags = arguments["quiet"], as_flags(arguments)
     with options_spelled(as_settings("motion.")):
-        motion = read_motion(arguments["motion"], **settings["motion"])
+        motion = read_motion(arguments["motion"] or MOTIONS.default, **settings["motion"])
     earlier = perf_counter() - start
     with options_spelled(flags):
         report = perform(

@@ -29,7 +29,7 @@ def parser() -> argparse.ArgumentParser:
         "gavatar-play", description=DESCRIPTION, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     p.add_argument("avatar", metavar="NAME.gavatar", help="bundle that gavatar-export wrote, zipped or unpacked")
-    p.add_argument("--motion", default="turn", metavar="NAME|FILE", help="turn, wave or a motion file (default: turn)")
+    p.add_argument("--motion", metavar="NAME|FILE", help="turn, wave or a motion file (default: turn)")
     p.add_argument(
         "--out",
         metavar="PATH",
@@ -40,7 +40,13 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--ground", action="store_true", help="let the avatar stand on the floor, y = 0")
     p.add_argument("--rest", choices=("offsets", "first-frame"),
                    help="of BVH: the pose that counts as standing at rest (default: offsets)")  # fmt: skip
-    time = p.add_argument_group("time")
+    _add_time(p.add_argument_group("time"))
+    _add_view(p.add_argument_group("view"))
+    _add_work(p.add_argument_group("work"))
+    return p
+
+
+def _add_time(time: argparse._ArgumentGroup) -> None:
     time.add_argument(
         "--fps", type=float, help="frames per second of the video, and, unless --tier says another, by the closest "
         f"stored tier that plays so fast (default: the motion's own, at most {DEFAULT_FPS:g}, by tier full)",
@@ -49,7 +55,9 @@ def parser() -> argparse.ArgumentParser:
     time.add_argument(
         "--frames", type=frame_slice, metavar="A:B", help="only frames A to B-1 at that rate, or A:B:STEP, or A"
     )
-    view = p.add_argument_group("view")
+
+
+def _add_view(view: argparse._ArgumentGroup) -> None:
     view.add_argument("--size", type=int, metavar="PX", help=f"width and height (default: {DEFAULT_SIZE})")
     view.add_argument("--width", type=int, metavar="PX")
     view.add_argument("--height", type=int, metavar="PX")
@@ -63,7 +71,9 @@ def parser() -> argparse.ArgumentParser:
     view.add_argument(
         "--background", default="white", metavar="COLOR", help="white, black, grey, green, #rrggbb or r,g,b"
     )
-    work = p.add_argument_group("work")
+
+
+def _add_work(work: argparse._ArgumentGroup) -> None:
     work.add_argument("--tier", metavar="NAME", help="how it is decoded, of those the bundle holds (default: full)")
     work.add_argument(
         "--min-psnr", type=float, metavar="DB", help="the fastest stored tier this close to the full model"
@@ -98,7 +108,6 @@ def parser() -> argparse.ArgumentParser:
     )
     work.add_argument("--json", metavar="FILE", help="write the timings there too")
     work.add_argument("--quiet", action="store_true", help="print nothing but errors")
-    return p
 
 
 def detail(text: str) -> int | str:

@@ -107,7 +107,7 @@ def perform(
     timings = ready.play(progress=progress)
     for note in ready.output.notes:
         notes.add(note)
-    return _report(ready, played, motion, threads, ignored, tuple(notes.all), seconds_to_ready, timings)
+    return _report(str(out), ready, played, motion, threads, ignored, tuple(notes.all), seconds_to_ready, timings)
 
 
 class _Notes:
@@ -157,6 +157,7 @@ def _gaussians(avatar: PlayedAvatar, motion: Motion, opened: Callable[[FrameForm
 
 
 def _report(
+    out: str,
     ready: _Ready,
     avatar: PlayedAvatar,
     motion: Motion,
@@ -170,7 +171,7 @@ def _report(
     return PlayReport(
         avatar=avatar.name,
         motion=motion.name,
-        output=str(ready.output.path),
+        output=out,
         frames=len(timings),
         width=ready.frames.width or None,
         height=ready.frames.height or None,

@@ -11,7 +11,7 @@ import abc
 import dataclasses
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Literal, TypeVar, cast
 
@@ -86,7 +86,8 @@ class GaussianOutput(Output[Gaussians]):
 
 @dataclasses.dataclass(frozen=True)
 class OutputTraits:
-    """preference: above 0, it may be taken where none is asked for, the highest of those that can be had."""
+    """preference: of several that write a suffix the highest is taken; so it is of all that can be had here, where none
+    is asked for."""
 
     preference: int = 0
 
@@ -96,12 +97,15 @@ OUTPUTS: Registry[Output[Any]] = Registry("output", OutputTraits)
 
 def default_output() -> tuple[Component[Output[Any]], Component[Output[Any]]]:
     """The output that is taken where none is asked for, and the one that would be if everything could be had here."""
-    ranked = sorted(OUTPUTS, key=_preference, reverse=True)
+    ranked = _ranked(OUTPUTS)
     return next(component for component in ranked if not component.missing()), ranked[0]
 
 
-def _preference(component: Component[Output[Any]]) -> int:
-    return 0 if component.default_traits is None else component.default_traits.preference
+def _ranked(components: Iterable[Component[Output[Any]]]) -> list[Component[Output[Any]]]:
+    def preference(component: Component[Output[Any]]) -> int:
+        return 0 if component.default_traits is None else component.default_traits.preference
+
+    return sorted(components, key=preference, reverse=True)
 
 
 def output_called(name: str) -> type[Output[Any]]:
@@ -182,7 +186,7 @@ def suffix_of(path: str | os.PathLike) -> str:
 
 
 def _writers_of(suffix: str) -> list[Component[Output[Any]]]:
-    return [component for component in OUTPUTS if suffix in _class_of(component).suffixes]
+    return _ranked(component for component in OUTPUTS if suffix in _class_of(component).suffixes)
 
 
 def _choices(suffix: str, suffixes: tuple[str, ...]) -> str:

@@ -104,6 +104,19 @@ def test_the_default_is_the_preferred_one_that_can_be_had(own):
     assert (chosen.name, preferred.name, preferred.missing()) == ("plain", "fine", "takes a film")
 
 
+def test_of_two_outputs_for_a_suffix_the_preferred_one_is_taken(own):
+    class One(ImageOutput):
+        suffixes = (".one",)
+
+    class Other(One):
+        pass
+
+    own.register("a")(One)
+    own.register("b", traits=OutputTraits(preference=1))(Other)
+    assert find_output("a.one") is Other
+    assert find_output("a.one", "a") is One
+
+
 def test_what_is_registered_must_be_an_output(own):
     own.register("thing")(lambda options, *, path, frames: None)
     with pytest.raises(TypeError, match=r"output 'thing' of .* derived from ImageOutput or GaussianOutput"):
