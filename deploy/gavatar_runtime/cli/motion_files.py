@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UserError, exit_cleanly, options_spelled
+from ..errors import UserError, exit_cleanly
 
 if TYPE_CHECKING:
     from ..values.motion import HandParameters, Motion
@@ -54,13 +54,12 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
     from ..motions import read_motion
-    from .settings import as_settings, parse_options
+    from .settings import parse_settings
 
-    options = parse_options(arguments.set)
+    options = parse_settings([f"motion.{setting}" for setting in arguments.set])["motion"]
     if arguments.rest:
         options["rest"] = arguments.rest
-    with options_spelled(as_settings("")):
-        motion = read_motion(arguments.motion, **options)
+    motion = read_motion(arguments.motion, **options)
     if arguments.command == "info":
         values = describe(motion)
         print(json.dumps(values, indent=1) if arguments.json else _table(values))

@@ -18,7 +18,7 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     start = perf_counter()
     arguments = vars(parser().parse_args(argv))
-    settings = parse_settings(arguments["set"], ("motion", "rasterizer", "output"))
+    settings = parse_settings(arguments["set"])
     if arguments["rest"]:
         settings["motion"]["rest"] = arguments["rest"]
 

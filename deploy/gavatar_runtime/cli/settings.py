@@ -3,38 +3,26 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 from ..errors import Spelling, UserError, did_you_mean
 
+GROUPS = ("motion", "rasterizer", "output")
 
-def parse_settings(settings: Sequence[str], groups: Sequence[str]) -> dict[str, dict[str, Any]]:
+
+def parse_settings(settings: Iterable[str]) -> dict[str, dict[str, Any]]:
     """`GROUP.KEY=VALUE` by group; numbers and true/false become what they look like."""
-    options: dict[str, dict[str, Any]] = {group: {} for group in groups}
+    options: dict[str, dict[str, Any]] = {group: {} for group in GROUPS}
     for setting in settings:
-        group, dot, rest = setting.partition(".")
-        if not dot or "=" in group:
-            raise UserError(f"--set {setting}: expected {' or '.join(f'{group}.KEY=VALUE' for group in groups)}")
+        match = re.fullmatch(r"(\w+)\.(\w+)=(.*)", setting)
+        if match is None:
+            raise UserError(f"--set {setting}: expected {' or '.join(f'{group}.KEY=VALUE' for group in GROUPS)}")
+        group, key, text = match.groups()
         if group not in options:
             raise UserError(f"--set {setting}: unknown group '{group}': {did_you_mean(group, options)}")
-        options[group] |= _parsed(setting, rest, f"{group}.")
+        options[group][key] = _value(text)
     return options
-
-
-def parse_options(settings: Sequence[str]) -> dict[str, Any]:
-    """`KEY=VALUE`, likewise."""
-    options: dict[str, Any] = {}
-    for setting in settings:
-        options |= _parsed(setting, setting, "")
-    return options
-
-
-def _parsed(setting: str, text: str, prefix: str) -> dict[str, Any]:
-    match = re.fullmatch(r"(\w+)=(.*)", text)
-    if match is None:
-        raise UserError(f"--set {setting}: expected {prefix}KEY=VALUE")
-    return {match[1]: _value(match[2])}
 
 
 def _value(text: str) -> Any:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import UserError, WrongValue
+from ..errors import UserError
 from ..values.motion import Motion
 from .fields import KEYS, SmplFields, check_up
 from .source import MOTIONS
@@ -37,7 +37,7 @@ class AmassFile:
     def __init__(self, config: AmassOptions, *, path: Path):
         check_up(config.up)
         if not isinstance(config.fps, (int, float)):
-            raise WrongValue(f"`fps={config.fps}`: give a number of frames per second, 0 for the file's own")
+            raise UserError(f"motion option fps={config.fps}: give a number of frames per second, 0 for the file's own")
         self.config = config
         self.path = path
 

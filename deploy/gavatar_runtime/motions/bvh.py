@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from ..errors import WrongValue
+from ..errors import UserError
 from ..formats.bvh_file import read_bvh
 from ..values.motion import Motion
 from .retarget import retarget
@@ -39,13 +39,13 @@ class BvhFile:
 
     def __init__(self, config: BvhOptions, *, path: Path):
         if config.up not in AXES:
-            raise WrongValue(f"`up={config.up}`: choose from {', '.join(AXES)}")
+            raise UserError(f"motion option up={config.up}: choose from {', '.join(AXES)}")
         if config.rest not in RESTS:
-            raise WrongValue(f"`rest={config.rest}`: choose from {', '.join(RESTS)}")
+            raise UserError(f"motion option rest={config.rest}: choose from {', '.join(RESTS)}")
         if config.units not in UNITS:
-            raise WrongValue(f"`units={config.units}`: choose from {', '.join(UNITS)}")
+            raise UserError(f"motion option units={config.units}: choose from {', '.join(UNITS)}")
         if not isinstance(config.fps, (int, float)) or not 0 <= config.fps < 1e6:
-            raise WrongValue(f"`fps={config.fps}`: give a number of frames per second, 0 for the file's own")
+            raise UserError(f"motion option fps={config.fps}: give a number of frames per second, 0 for the file's own")
         self.config, self.path = config, path
 
     def load(self) -> Motion:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import Faults, UserError, WrongValue, frames_named
+from ..errors import Faults, UserError, frames_named
 from ..geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from ..values.motion import HandParameters, Motion
 
@@ -66,7 +66,7 @@ class SmplFields:
     def __init__(self, path: Path, arrays: Mapping[str, Any], *, hands: str = "auto", hand_mean: str = "auto"):
         for name, value, known in (("hands", hands, HANDS), ("hand_mean", hand_mean, HAND_MEANS)):
             if value not in known:
-                raise WrongValue(f"`{name}={value}`: choose from {', '.join(known)}")
+                raise UserError(f"motion option {name}={value}: choose from {', '.join(known)}")
         self.path, self.arrays, self.hands, self.hand_mean = path, arrays, hands, hand_mean
 
     def motion(self, *, up: str, fps: float, default_fps: float = 0.0, trans_scale: float = 1.0) -> Motion:
@@ -252,14 +252,14 @@ class SmplFields:
 
     def _fps(self, asked: float, default: float) -> float:
         if not isinstance(asked, (int, float)):
-            raise WrongValue(f"`fps={asked}`: give a number of frames per second, 0 for the file's own")
+            raise UserError(f"motion option fps={asked}: give a number of frames per second, 0 for the file's own")
         key = self._key(FRAME_RATE_KEYS)
         if asked:
-            fps, key = float(asked), f"`fps={asked:g}`"
+            fps, key = float(asked), "the option fps"
         elif key is None and default:
             fps = default
         elif key is None:
-            raise UserError(f"{self.path}: key 'mocap_framerate' is missing; add it or give `fps`")
+            raise UserError(f"{self.path}: key 'mocap_framerate' is missing; add it or give the option fps")
         else:
             value = self._numbers(key)
             fps = float(value.reshape(-1)[0]) if value.size == 1 else np.nan
@@ -320,7 +320,7 @@ def _with_hands(poses: np.ndarray, hands: HandParameters | None) -> tuple[np.nda
 def check_up(up: str) -> None:
     """UserError unless `up` is auto or one of the axes of `Y_UP_FROM`."""
     if up not in ("auto", *Y_UP_FROM):
-        raise WrongValue(f"`up={up}`: choose from auto, {', '.join(Y_UP_FROM)}")
+        raise UserError(f"motion option up={up}: choose from auto, {', '.join(Y_UP_FROM)}")
 
 
 def vertical_axis(poses: np.ndarray) -> str:

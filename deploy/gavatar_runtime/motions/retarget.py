@@ -59,7 +59,7 @@ def retarget(bvh: Bvh, mapping: dict[str, int], *, up: str, scale: float, name: 
     if missing:
         raise UserError(
             f"{source}: no joint of the rig is known as {', '.join(missing)} (it has {', '.join(bvh.names[:40])}); "
-            "give a mapping file {SMPL joint: joint of the rig} by `mapping`"
+            "give a mapping file {SMPL joint: joint of the rig} by the option mapping"
         )
     rest = bvh.places()[0]
     B = _stance(rest, mapping, source)

@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from functools import partial
 
 import numpy as np
 import pytest
-from commands import exit_code
 from test_motion_files import random_angles, write_bvh
 
 from gavatar_runtime.cli.motion_files import main
 from gavatar_runtime.geometry.rotations import matrix_from_axis_angle
 from gavatar_runtime.motions import read_motion
 
-run = partial(exit_code, main)
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as done:
+        main([str(a) for a in arguments])
+    return done.value.code
 
 
 @pytest.fixture

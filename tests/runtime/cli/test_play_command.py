@@ -10,7 +10,7 @@ import zipfile
 import cv2
 import numpy as np
 import pytest
-from commands import exit_code
+from exit_codes import exit_code
 from places import DEMO
 from plyfile import PlyData
 from video_frames import frames_of

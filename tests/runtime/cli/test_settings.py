@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from commands import exit_code
 
-from gavatar_runtime.cli.motion_files import main as motion_command
-from gavatar_runtime.cli.settings import as_flags, as_settings, parse_options, parse_settings
+from gavatar_runtime.cli.settings import as_flags, as_settings, parse_settings
 from gavatar_runtime.errors import MissingFile, UserError, options_spelled, spelled
-
-GROUPS = ("motion", "rasterizer")
 
 
 def test_settings_go_to_their_group():
@@ -19,33 +15,28 @@ def test_settings_go_to_their_group():
         "rasterizer.fast=true",
         "motion.up=z",
         "motion.mapping=a=b",
+        "output.shown=6",
     ]
-    assert parse_settings(settings, GROUPS) == {
+    assert parse_settings(settings) == {
         "motion": {"waves": 3, "seconds": 1.5, "up": "z", "mapping": "a=b"},
         "rasterizer": {"fast": True},
+        "output": {"shown": 6},
     }
-    assert parse_settings([], GROUPS) == {"motion": {}, "rasterizer": {}}
+    assert parse_settings([]) == {"motion": {}, "rasterizer": {}, "output": {}}
 
 
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ("waves=3", r"--set waves=3: expected motion\.KEY=VALUE or rasterizer\.KEY=VALUE"),
-        ("file=a.b", r"--set file=a\.b: expected motion\.KEY=VALUE"),
+        ("waves=3", r"--set waves=3: expected motion\.KEY=VALUE or rasterizer\.KEY=VALUE or output\.KEY=VALUE"),
         ("motion.waves", r"--set motion\.waves: expected motion\.KEY=VALUE"),
-        ("motion.=3", r"expected motion\.KEY=VALUE"),
+        ("motion.=3", r"--set motion\.=3: expected motion\.KEY=VALUE"),
         ("motions.x=1", r"unknown group 'motions'.*did you mean 'motion'"),
     ],
 )
 def test_a_setting_that_is_none_is_shown_as_it_was_given(setting, message):
     with pytest.raises(UserError, match=message):
-        parse_settings([setting], GROUPS)
-
-
-def test_settings_without_groups():
-    assert parse_options(["up=z", "fps=60", "loop=False"]) == {"up": "z", "fps": 60, "loop": False}
-    with pytest.raises(UserError, match="--set ups: expected KEY=VALUE"):
-        parse_options(["ups"])
+        parse_settings([setting])
 
 
 @pytest.mark.parametrize(
@@ -76,13 +67,3 @@ def test_an_error_keeps_its_kind_and_all_its_sentences():
     assert raised.value.sentences == ("--set up=q: choose", "and --set fps=VALUE")
     with pytest.raises(KeyError, match="`fps`"), options_spelled(as_settings("")):
         raise KeyError("`fps`")
-
-
-def test_the_motion_command_names_options_as_they_are_typed_there(tmp_path, capsys):
-    import numpy as np
-
-    np.savez(tmp_path / "a.npz", poses=np.zeros((2, 66)))
-    assert exit_code(motion_command, "info", tmp_path / "a.npz") == 2
-    assert "'mocap_framerate' is missing; add it or give --set fps=VALUE" in capsys.readouterr().err
-    assert exit_code(motion_command, "info", tmp_path / "a.npz", "--set", "fps=-2") == 2
-    assert "--set fps=-2 must be one positive number" in capsys.readouterr().err
