@@ -33,15 +33,16 @@ def median_ms(run, times: int) -> float:
 
 
 def playing(path: str, frames: int) -> None:
-    from gavatar.measure.timing import Nowhere
     from gavatar_runtime.avatar.playing import Avatar
     from gavatar_runtime.bundle import read_bundle
     from gavatar_runtime.decoding import network
     from gavatar_runtime.motions import read_motion
     from gavatar_runtime.play.framing import frame_motion
-    from gavatar_runtime.play.player import play
-    from gavatar_runtime.play.staging import clip
+    from gavatar_runtime.play.outputs.nowhere import Nowhere
+    from gavatar_runtime.play.player import play_images
+    from gavatar_runtime.play.staging import Clip
     from gavatar_runtime.render.choice import build_rasterizer
+    from gavatar_runtime.render.renderer import Renderer
 
     bundle, quiet = read_bundle(path), network._session
     print("threads of ORT, kernel; spin: ms decode alone, draw alone, one after the other, together")
@@ -49,7 +50,7 @@ def playing(path: str, frames: int) -> None:
         network._session = _spinning if spins else quiet
         for decoding, drawing in ((1, 1), (1, 2), (2, 1), (2, 2)):
             avatar = Avatar(bundle, threads=decoding)
-            motion, _ = avatar.fit(clip(read_motion("wave"), 30.0, (frames + 3) / 30, None))
+            motion, _ = avatar.fit(Clip(30.0, (frames + 3) / 30).of(read_motion("wave")))
             camera = frame_motion(avatar, motion, 512, 512)
             rasterizer = build_rasterizer("native", threads=drawing)
             gaussians = avatar.gaussians(*motion.at(0))
@@ -57,7 +58,7 @@ def playing(path: str, frames: int) -> None:
             draw = median_ms(lambda i: rasterizer.render_uint8(gaussians, camera), frames)  # noqa: B023
             walls = []
             for pipelined in (False, True):
-                done = play(avatar, motion, camera, rasterizer, Nowhere(), pipelined=pipelined)
+                done = play_images(Renderer(avatar, rasterizer), motion, camera, Nowhere(), pipelined=pipelined)
                 walls.append(1e3 * float(np.median(done.walls[3:])))
             row = " ".join(f"{ms:.2f}" for ms in (decode, draw, *walls))
             print(f"  {decoding}, {drawing}; {spins!s:5}: {row}", flush=True)

@@ -20,6 +20,7 @@ from typing import Any
 
 from gavatar_runtime.components import Component, NoOptions, Registry
 from gavatar_runtime.motions import MOTIONS
+from gavatar_runtime.play.outputs import OUTPUTS
 
 from .optional import extra_of, install_command
 
@@ -91,12 +92,12 @@ LOSSES: Registry = Registry("loss", LossTraits)
 CAPTURES: Registry = Registry("capture_format", CaptureTraits)
 TIERS: Registry = Registry("tier")
 
-REGISTRIES: tuple[Registry, ...] = (BODIES, ENCODERS, DECODERS, RASTERIZERS, LOSSES, CAPTURES, MOTIONS, TIERS)
+REGISTRIES: tuple[Registry, ...] = (BODIES, ENCODERS, DECODERS, RASTERIZERS, LOSSES, CAPTURES, MOTIONS, TIERS, OUTPUTS)
 ENTRY_POINT_GROUP = "gavatar.plugins"
 PLUGIN_ROOMS = ("bodies", "captures", "decoders", "encoders", "losses", "rasterizers", "tiers")
 
 __all__ = [
-    "BODIES", "CAPTURES", "DECODERS", "ENCODERS", "LOSSES", "MOTIONS", "RASTERIZERS", "REGISTRIES", "TIERS",
+    "BODIES", "CAPTURES", "DECODERS", "ENCODERS", "LOSSES", "MOTIONS", "OUTPUTS", "RASTERIZERS", "REGISTRIES", "TIERS",
     "BodyTraits", "CaptureTraits", "Component", "DecoderTraits", "EncoderTraits", "LossTraits", "NoOptions",
     "PluginFailure", "RasterizerTraits", "Registry", "fill_config_store", "load_plugins", "resolve",
 ]  # fmt: skip

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import functools
+import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 MOST_NAMED = 20  # faults of one kind, or frames of one fault, that a message names before it counts the rest
+OPTION = re.compile(r"`([\w.]+)(?:=([^`]*))?`")  # as messages of the library name one: `fps`, or `fps=-3`
+Spelling = Callable[[str, str], str]  # of an option, from its keyword and value, if that is said; '' leaves it as it is
 
 
 class UserError(Exception):
@@ -112,6 +116,22 @@ def did_you_mean(name: str, choices: Iterable[str]) -> str:
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     hint = f"; did you mean '{near[0]}'?" if near else ""
     return f"choose from: {', '.join(known) or '(none)'}{hint}"
+
+
+def spelled(sentence: str, spelling: Spelling) -> str:
+    """A sentence of the library with each option, which it names by its keyword in backticks, as `spelling` has it."""
+    return OPTION.sub(lambda option: spelling(option[1], option[2] or "") or option[0], sentence)
+
+
+@contextlib.contextmanager
+def options_spelled(spelling: Spelling) -> Iterator[None]:
+    """A UserError of the block names options as they are written on a command (`spelled`)."""
+    try:
+        yield
+    except UserError as error:
+        error.sentences = tuple(spelled(sentence, spelling) for sentence in error.sentences)
+        error.args = error.sentences[:1]
+        raise
 
 
 def exit_cleanly(command: Callable[..., int | None]) -> Callable[..., None]:

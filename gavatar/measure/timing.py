@@ -16,7 +16,8 @@ import numpy as np
 
 from gavatar_runtime.bundle import Bundle
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.play.player import WRITE, play
+from gavatar_runtime.play.outputs.nowhere import Nowhere
+from gavatar_runtime.play.player import WRITE, play_images
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.motion import Motion
 
@@ -51,22 +52,6 @@ class Footprint:
 
     first_frame_s: float
     memory_mb: float | None
-
-
-class Nowhere:
-    """A writer that keeps nothing: writing is excluded from what is measured."""
-
-    def choose(self, count: int) -> list[int]:
-        return list(range(count))
-
-    def add(self, image: np.ndarray) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-    def discard(self) -> None:
-        pass
 
 
 def measure_speeds(
@@ -104,7 +89,7 @@ def _timed(
         renderer.rasterize(renderer.gaussians(*motion.at(i % len(motion)), camera=camera), camera)
     each = (perf_counter() - start) / 2
     count = min(len(motion), max(WARM + 3, int(budget_s / max(each, 1e-4))))
-    timings = play(renderer.avatar, motion.taken(slice(count)), camera, renderer.rasterizer, Nowhere())
+    timings = play_images(renderer, motion.taken(slice(count)), camera, Nowhere())
     walls = 1e3 * np.array(timings.walls[WARM:])
     # where decodes are reused, frames with one and without take turns: what counts is the mean of a turn
     turns = max(1, len(walls) // choice.reuse)

@@ -15,7 +15,7 @@ from places import ROOT
 RUNTIME, LIBRARY, PLUGINS = ROOT / "deploy" / "gavatar_runtime", ROOT / "gavatar", ROOT / "gavatar_plugins"
 RUNTIME_MAY_IMPORT = {"numpy", "onnxruntime", "gavatar_runtime"}
 # OpenCV is optional there: these try it
-MAY_TRY_OPENCV = {RUNTIME / "play" / "video.py", RUNTIME / "play" / "writers.py"}
+MAY_TRY_OPENCV = {RUNTIME / "play" / "outputs" / name for name in ("video_encoder.py", "contact_sheet.py")}
 UNSAFE_MODULES = {"pickle", "cPickle", "dill", "joblib", "shelve", "marshal"}
 EXCEPTIONS_OF_PICKLE = {"UnpicklingError", "PickleError"}  # what torch.load raises, even with weights_only=True
 # the restricted unpickler itself, which tests/runtime/formats/test_safe_pickle.py attacks
@@ -141,6 +141,12 @@ def violations(path: Path, allowed) -> list[str]:
 def test_the_runtime_imports_numpy_onnxruntime_and_the_standard_library_only(path):
     allowed = RUNTIME_MAY_IMPORT | ({"cv2"} if path in MAY_TRY_OPENCV else set())
     assert violations(path, lambda top: top in allowed or top in sys.stdlib_module_names) == []
+
+
+@parametrize_files(RUNTIME)
+def test_no_function_of_the_runtime_knows_of_commands_but_those_of_the_commands(path):
+    if path.parent != RUNTIME / "cli":
+        assert [n for _, n in imported(path) if n == "argparse" or n.startswith("gavatar_runtime.cli")] == []
 
 
 @parametrize_files(LIBRARY)

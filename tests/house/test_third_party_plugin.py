@@ -9,8 +9,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from places import ROOT, SUPPORT
+
+from gavatar_runtime.avatar.playing import Avatar
+from gavatar_runtime.motions import read_motion
 
 EXAMPLE = SUPPORT / "plugin_example"
 DEMO = ROOT / "gavatar" / "data" / "studio_demo"
@@ -90,3 +94,34 @@ def test_it_trains(installed, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "name: tinydecoder" in (tmp_path / "run" / "config.yaml").read_text()
     assert (tmp_path / "run" / "metrics.json").exists()
+
+
+def test_its_output_is_listed_with_its_options(installed, tmp_path):
+    done = run(installed, "gavatar.cli.list", "output", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = {row["name"]: row for row in json.loads(done.stdout)["groups"]["output"]}
+    assert {"video", "frames", "sheet", "ply", "points"} <= set(rows)
+    assert rows["points"]["distribution"] == "gavatar-tinydecoder 0.3.0"
+    assert rows["points"]["options"] == [{"name": "digits", "type": "int", "default": 4, "required": False}]
+
+
+def test_its_output_is_chosen_by_the_suffix(installed, tmp_path):
+    pytest.importorskip("onnx", reason="the hand-made networks need onnx")
+    from make_bundle import make_bundle
+
+    bundle = make_bundle(tmp_path / "a.gavatar", 20)
+    common = ["gavatar_runtime.cli.play", str(bundle), "--quiet", "--frames", "0:2"]
+    done = run(installed, *common, "--out", "a.xyz", "--set", "output.digits=2", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    points = np.loadtxt(tmp_path / "a.xyz")
+    avatar = Avatar(bundle)
+    motion, _ = avatar.fit(read_motion("turn"))
+    wanted = avatar.gaussians(*motion.at(0))
+    np.testing.assert_allclose(points[:, :3], wanted.means, atol=0.0051)  # two digits
+    np.testing.assert_allclose(points[:, 3:], 255 * wanted.colors, atol=0.5001)
+    done = run(installed, *common, "--out", "f/%02d.xyz", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in (tmp_path / "f").iterdir()) == ["00.xyz", "01.xyz"]
+    done = run(installed, *common, "--out", "a.xyy", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "did you mean '.xyz'" in done.stderr

@@ -1,13 +1,24 @@
-"""What `gavatar-play` tells: the timings as a table and as JSON, and how far it is."""
+"""What `gavatar-play` tells: the report as a table and as JSON, and how far it is."""
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import sys
 from pathlib import Path
 from typing import Any
 
+from ..play.performance import PlayReport
 from ..play.player import WRITE, Timings
+
+
+def as_json(report: PlayReport) -> dict[str, Any]:
+    """Plain values, with the peak memory of this process."""
+    values = {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}
+    del values["timings"]
+    if report.budget_ms is None:
+        del values["budget_ms"], values["levels"]
+    return {**values, "peak_memory_mb": peak_memory_mb(), **timing_report(report.timings)}
 
 
 def timing_report(timings: Timings) -> dict[str, Any]:
@@ -33,22 +44,25 @@ def peak_memory_mb() -> float | None:
     return int(found.group(1)) / 1000 if found else None
 
 
-def table(report: dict[str, Any]) -> str:
+def table(report: PlayReport) -> str:
     """The report of a run as lines for people."""
+    times = timing_report(report.timings)
+    size = "" if report.width is None else f" of {report.width}x{report.height}"
+    drawn_by = "" if report.rasterizer is None else f", {report.rasterizer}"
+    frames = f"{report.frames} frame{'' if report.frames == 1 else 's'}"
     lines = [
-        f"{report['output']}: {report['frames']} frames of {report['width']}x{report['height']}, "
-        f"{report['gaussians']} Gaussians, tier {report['tier']}, {report['rasterizer']}",
+        f"{report.output}: {frames}{size}, {report.gaussians} Gaussians, tier {report.tier}{drawn_by}",
         f"{'stage':<10}{'ms a frame':>12}   (median after warm-up)",
-        *(f"{stage:<10}{ms:>12.2f}" for stage, ms in report["stage_ms"].items()),
-        f"{'frame':<10}{report['frame_ms']:>12.2f}   = {report['frames_per_second']:.1f} frames per second; a frame is "
-        "decoded while the one before is drawn",
-        f"{'write':<10}{report['write_ms']:>12.2f}   not counted above",
-        f"ready to play after {report['ready_seconds']:.2f} s",
+        *(f"{stage:<10}{ms:>12.2f}" for stage, ms in times["stage_ms"].items()),
+        f"{'frame':<10}{times['frame_ms']:>12.2f}   = {times['frames_per_second']:.1f} frames per second"
+        + ("; a frame is decoded while the one before is drawn" if report.rasterizer else ""),
+        f"{'write':<10}{times['write_ms']:>12.2f}   not counted above",
+        f"ready to play after {report.ready_seconds:.2f} s",
     ]
-    for level in report.get("levels", ()):
+    for level in report.levels:
         detail = "all Gaussians" if level["uv"] is None else f"uv {level['uv']}"
         every = "" if level["reuse"] == 1 else f", decoded every {level['reuse']} frames"
-        lines.append(f"budget {report['budget_ms']:g} ms: {level['frames']} frames with {detail}{every}")
+        lines.append(f"budget {report.budget_ms:g} ms: {level['frames']} frames with {detail}{every}")
     return "\n".join(lines)
 
 

@@ -1,28 +1,31 @@
-"""`--set KEY=VALUE` of the commands."""
+"""`--set KEY=VALUE` of the commands, and how options are written on them."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from typing import Any
 
-from ..errors import UserError, did_you_mean
+from ..errors import Spelling, UserError, did_you_mean
+
+GROUPS = ("motion", "rasterizer", "output")
 
 
-def parse_settings(settings: list[str]) -> dict[str, dict[str, Any]]:
-    """`motion.KEY=VALUE` and `rasterizer.KEY=VALUE` by group; numbers and true/false become what they look like."""
-    options: dict[str, dict[str, Any]] = {"motion": {}, "rasterizer": {}}
+def parse_settings(settings: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """`GROUP.KEY=VALUE` by group; numbers and true/false become what they look like."""
+    options: dict[str, dict[str, Any]] = {group: {} for group in GROUPS}
     for setting in settings:
         match = re.fullmatch(r"(\w+)\.(\w+)=(.*)", setting)
         if match is None:
-            raise UserError(f"--set {setting}: expected motion.KEY=VALUE or rasterizer.KEY=VALUE")
+            raise UserError(f"--set {setting}: expected {' or '.join(f'{group}.KEY=VALUE' for group in GROUPS)}")
         group, key, text = match.groups()
         if group not in options:
             raise UserError(f"--set {setting}: unknown group '{group}': {did_you_mean(group, options)}")
-        options[group][key] = parse_value(text)
+        options[group][key] = _value(text)
     return options
 
 
-def parse_value(text: str) -> Any:
+def _value(text: str) -> Any:
     """A whole number, a number, true or false where the text looks like one, else the text."""
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
@@ -32,3 +35,21 @@ def parse_value(text: str) -> Any:
         except ValueError:
             pass
     return text
+
+
+def as_flags(names: Iterable[str]) -> Spelling:
+    """Options as a command has them: `budget_ms=3` is --budget-ms 3 where that is one of `names`, and `output.shown=3`
+    is --set output.shown=3."""
+    known = frozenset(names)
+
+    def spelling(name: str, value: str) -> str:
+        if name in known:
+            return f"--{name.replace('_', '-')} {value}".rstrip()
+        return as_settings("")(name, value) if "." in name else ""
+
+    return spelling
+
+
+def as_settings(prefix: str) -> Spelling:
+    """Options as settings: `fps=3` is --set motion.fps=3 with the prefix `motion.`."""
+    return lambda name, value: f"--set {prefix}{name}={value or 'VALUE'}"

@@ -22,7 +22,8 @@ def thinned(surface: Surface, uv: int) -> tuple[np.ndarray, np.ndarray]:
     """
     R = surface.resolution
     if not MIN_UV <= uv <= R:
-        raise WrongValue(f"uv={uv}: this avatar has detail from {MIN_UV} to {R}; export it with a larger --uv for more")
+        fault = f"`uv={uv}`: this avatar has detail from {MIN_UV} to {R}"
+        raise WrongValue(f"{fault}; export it with a larger --uv for more")
     place = (np.stack([surface.texel % R, surface.texel // R]) + 0.5) * (uv / R)
     cell = np.floor(place).astype(np.int64)
     off = np.square(place - cell - 0.5).sum(0)

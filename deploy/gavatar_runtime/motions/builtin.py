@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 
-from ..errors import UserError
+from ..errors import UserError, WrongValue
 from ..geometry.rotations import axis_angle_from_quaternion, quaternion_from_axis_angle
 from ..values.motion import Motion
 from ..values.skeletons import FINGERS, SMPLH
@@ -77,7 +77,7 @@ class Wave:
 
     def __init__(self, config: WaveOptions):
         if not isinstance(config.waves, int) or config.waves < 0:
-            raise UserError(f"motion option waves={config.waves}: give a whole number, zero or more, so that it loops")
+            raise WrongValue(f"`waves={config.waves}`: give a whole number, zero or more, so that it loops")
         self.config = config
 
     def load(self) -> Motion:

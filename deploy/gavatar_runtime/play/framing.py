@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from ..avatar.playing import Avatar
+from ..avatar.played import PlayedAvatar
 from ..geometry.rotations import matrix_from_axis_angle
 from ..geometry.skinning import skin
 from ..geometry.spacing import evenly_spaced
@@ -22,7 +22,7 @@ DIRECTIONS = {"front": 0.0, "left": 90.0, "back": 180.0, "right": 270.0}  # degr
 
 
 def frame_motion(
-    avatar: Avatar, motion: Motion, width: int, height: int, *, azimuth: float = 0.0, orbit: bool = False
+    avatar: PlayedAvatar, motion: Motion, width: int, height: int, *, azimuth: float = 0.0, orbit: bool = False
 ) -> Camera:
     """A level camera that holds the avatar throughout a motion.
 
@@ -68,12 +68,12 @@ def fitted_to(camera: Camera, width: int, height: int) -> Camera:
     )  # fmt: skip
 
 
-def body_points(avatar: Avatar, motion: Motion) -> np.ndarray:
+def body_points(avatar: PlayedAvatar, motion: Motion) -> np.ndarray:
     """(S, 3) a sample of the body's surface over the whole motion, world, metres."""
     return np.concatenate(list(posed_samples(avatar, motion, _sampled_frames(motion), SAMPLED_POINTS)))
 
 
-def posed_samples(avatar: Avatar, motion: Motion, frames: Iterable[int], count: int) -> Iterator[np.ndarray]:
+def posed_samples(avatar: PlayedAvatar, motion: Motion, frames: Iterable[int], count: int) -> Iterator[np.ndarray]:
     """(S, 3) metres, world, for each of `frames`: every so many points of the body's surface, that `count` of
     them are asked for and S is up to twice as many."""
     surface = avatar.surface
@@ -92,7 +92,7 @@ def facing(motion: Motion) -> float:
     return float(np.arctan2(forward[0], forward[2])) if np.hypot(forward[0], forward[2]) > 0.2 else 0.0
 
 
-def size_on_screen(avatar: Avatar, motion: Motion, cameras: Sequence[Camera]) -> float:
+def size_on_screen(avatar: PlayedAvatar, motion: Motion, cameras: Sequence[Camera]) -> float:
     """Pixels that the person upright would be tall at the frame where a camera is nearest to them; infinite where a
     camera is within the body. motion: fitted to the avatar. cameras: one a frame."""
     frames = _sampled_frames(motion)

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from ..avatar.playing import Avatar
+from ..avatar.played import PlayedAvatar
 from ..values.motion import Motion
 from .framing import posed_samples
 
@@ -14,12 +14,12 @@ POINTS = 5000  # of the surface that are asked for their height: two centimetres
 STANDING = 0.05  # share of the frames whose lowest point may lie below the floor: a foot that slips into it
 
 
-def lowest_points(avatar: Avatar, motion: Motion) -> np.ndarray:
+def lowest_points(avatar: PlayedAvatar, motion: Motion) -> np.ndarray:
     """(T,) metres, the height of the body's lowest point at each frame. motion: fitted to the avatar."""
     return np.array([float(p[:, 1].min()) for p in posed_samples(avatar, motion, range(len(motion)), POINTS)])
 
 
-def grounded(avatar: Avatar, motion: Motion) -> tuple[Motion, float]:
+def grounded(avatar: PlayedAvatar, motion: Motion) -> tuple[Motion, float]:
     """The motion moved up or down as a whole so that the avatar stands on y = 0, and the metres that it was moved up.
 
     The floor is where the lowest point is in the lowest twentieth of the frames, so that jumps stay jumps.

@@ -1,23 +1,27 @@
-"""Playing: every frame of a motion through decoding, skinning and splatting into a writer, each stage timed."""
+"""The frame loop: every frame of a motion is decoded, drawn where images are wanted, and given to an output, each
+stage timed."""
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from time import perf_counter
+from typing import Any, Generic
 
 import numpy as np
 
 from ..avatar.played import PlayedAvatar
-from ..render.rasterizers import Rasterizer
 from ..render.renderer import Renderer
 from ..values.camera import Camera
+from ..values.gaussians import Gaussians
 from ..values.motion import Motion
-from .writers import Writer
+from .outputs.output import Frame, Output
 
 WARM_UP = 3  # frames left out of the medians where there are more: first use of buffers and networks
 OTHER, WRITE = "other", "write"
+Progress = Callable[[int, int], None]
 
 
 @dataclasses.dataclass
@@ -61,85 +65,140 @@ def _warm(values: Sequence[float]) -> Sequence[float]:
     return values[WARM_UP:] if len(values) > WARM_UP else values
 
 
-def play(
-    avatar: PlayedAvatar,
+def play_images(
+    renderer: Renderer,
     motion: Motion,
     cameras: Camera | Sequence[Camera],
-    rasterizer: Rasterizer,
-    writer: Writer,
+    output: Output[np.ndarray],
     *,
     background: Sequence[float] = (1.0, 1.0, 1.0),
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     pipelined: bool = True,
 ) -> Timings:
-    """Write a motion's frames and return what each stage of each took.
+    """Draw a motion's frames into an output, and return what each stage of each took.
 
-    motion: fitted to the avatar. cameras: one for all frames, or one a frame. background: sRGB
-    in [0, 1].
+    motion: fitted to the renderer's avatar. cameras: one for all frames, or one a frame. background: sRGB in [0, 1].
     pipelined: decode a frame while the one before is drawn, and write in a thread of its own; the same images.
-    progress: called as `progress(done, total)` after each frame. If anything fails, the writer leaves nothing behind.
+    progress: called as `progress(done, total)` after each frame. If anything fails, the output leaves nothing behind.
     """
     cameras = [cameras] * len(motion) if isinstance(cameras, Camera) else cameras
     if len(cameras) != len(motion):
         raise ValueError(f"{len(cameras)} cameras for {len(motion)} frames")
-    background = np.asarray(background, np.float32)
-    renderer = Renderer(avatar, rasterizer)
-    avatar.follow(motion)
+    frames = _Images(renderer, motion, cameras, background)
+    return _play(frames, output, progress, pipelined)
+
+
+def play_gaussians(
+    avatar: PlayedAvatar,
+    motion: Motion,
+    output: Output[Gaussians],
+    *,
+    progress: Progress | None = None,
+    pipelined: bool = True,
+) -> Timings:
+    """As `play_images`, for an output that takes the Gaussians: nothing is drawn."""
+    return _play(_Gaussians(avatar, motion), output, progress, pipelined)
+
+
+class _Frames(abc.ABC, Generic[Frame]):
+    """How the frames of a motion are made: first `decode`, which may run in another thread, then `finish`."""
+
+    def __init__(self, avatar: PlayedAvatar, motion: Motion):
+        self.avatar, self.motion = avatar, motion
+
+    @abc.abstractmethod
+    def decode(self, frame: int) -> tuple[Gaussians, dict[str, float]]:
+        """The Gaussians of a frame, and the seconds of each stage."""
+
+    @abc.abstractmethod
+    def finish(self, gaussians: Gaussians, frame: int) -> tuple[Frame, dict[str, float]]:
+        """What the output takes, and the seconds of each stage."""
+
+    @abc.abstractmethod
+    def kept(self, result: Frame) -> Frame:
+        """The result in arrays that stay while the next one is finished."""
+
+
+class _Images(_Frames[np.ndarray]):
+    def __init__(self, renderer: Renderer, motion: Motion, cameras: Sequence[Camera], background: Sequence[float]):
+        super().__init__(renderer.avatar, motion)
+        self._renderer, self._cameras, self._background = renderer, cameras, background
+        self._kept: np.ndarray | None = None
+
+    def decode(self, frame: int) -> tuple[Gaussians, dict[str, float]]:
+        gaussians = self._renderer.gaussians(*self.motion.at(frame), camera=self._cameras[frame])
+        return gaussians, dict(self.avatar.stage_seconds)
+
+    def finish(self, gaussians: Gaussians, frame: int) -> tuple[np.ndarray, dict[str, float]]:
+        image = self._renderer.rasterize_uint8(gaussians, self._cameras[frame], self._background)
+        return image, self._renderer.rasterizer.stage_seconds
+
+    def kept(self, result: np.ndarray) -> np.ndarray:
+        if self._kept is None or self._kept.shape != result.shape:
+            self._kept = np.empty_like(result)
+        np.copyto(self._kept, result)
+        return self._kept
+
+
+class _Gaussians(_Frames[Gaussians]):
+    def decode(self, frame: int) -> tuple[Gaussians, dict[str, float]]:
+        return self.avatar.gaussians(*self.motion.at(frame), copy=False), dict(self.avatar.stage_seconds)
+
+    def finish(self, gaussians: Gaussians, frame: int) -> tuple[Gaussians, dict[str, float]]:
+        return gaussians, {}
+
+    def kept(self, result: Gaussians) -> Gaussians:
+        """As it is: the third decode from a frame's own fills its arrays again, and begins when it is written."""
+        return result
+
+
+def _play(frames: _Frames[Frame], output: Output[Frame], progress: Progress | None, pipelined: bool) -> Timings:
+    frames.avatar.follow(frames.motion)
     timings = Timings()
-    wanted = writer.choose(len(motion))
+    wanted = output.choose(len(frames.motion))
     threads = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
     decoding, writing = threads if pipelined else (_Inline(), _Inline())
 
-    kept: list[np.ndarray] = []  # the image that is being written, while the rasterizer draws the next
-
-    def decode(frame: int):
-        gaussians = renderer.gaussians(*motion.at(frame), camera=cameras[frame])
-        return gaussians, dict(avatar.stage_seconds)
-
-    def write(image: np.ndarray) -> float:
+    def write(result: Frame) -> float:
         start = perf_counter()
-        writer.add(image)
+        output.add(result)
         return perf_counter() - start
 
     try:
-        ahead = decoding.submit(decode, wanted[0]) if wanted else None
-        start, written = perf_counter(), None
+        ahead = [decoding.submit(frames.decode, frame) for frame in wanted[:1]]
+        written: Future[float] | None = None
+        start = perf_counter()
         for done, frame in enumerate(wanted, 1):
-            gaussians, stages = ahead.result()
+            gaussians, decoded = ahead.pop().result()
             if done < len(wanted) and pipelined:
-                ahead = decoding.submit(decode, wanted[done])
-            image = renderer.rasterize_uint8(gaussians, cameras[frame], background)
-            stages |= rasterizer.stage_seconds
+                ahead.append(decoding.submit(frames.decode, wanted[done]))
+            result, finished = frames.finish(gaussians, frame)
+            stages = {**decoded, **finished}
             drawn = perf_counter()
             before = 0.0 if written is None else written.result()  # at most one frame waits to be written
-            if pipelined:
-                if not kept or kept[0].shape != image.shape:
-                    kept[:] = [np.empty_like(image)]
-                np.copyto(kept[0], image)
-                image = kept[0]
-            written = writing.submit(write, image)
+            written = writing.submit(write, frames.kept(result) if pipelined else result)
             wall = drawn - start
             timings.add({**stages, OTHER: max(0.0, wall - sum(stages.values())), WRITE: before}, wall)
-            avatar.frame_took(wall)
+            frames.avatar.frame_took(wall)
             if progress is not None:
                 progress(done, len(wanted))
             start = perf_counter()
             if done < len(wanted) and not pipelined:
-                ahead = decoding.submit(decode, wanted[done])
+                ahead.append(decoding.submit(frames.decode, wanted[done]))
         if written is not None:
             timings.stages[WRITE] = [*timings.stages[WRITE][1:], written.result()]
-        writer.close()
+        output.close()
     finally:
         for thread in threads:
             thread.shutdown(wait=True, cancel_futures=True)
-        writer.discard()
+        output.discard()
     return timings
 
 
-class _Inline:
+class _Inline(Executor):
     """An executor that does at once what is asked of it."""
 
-    def submit(self, function, *arguments) -> Future:
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **options: Any) -> Future:
         future: Future = Future()
-        future.set_result(function(*arguments))
+        future.set_result(function(*arguments, **options))
         return future

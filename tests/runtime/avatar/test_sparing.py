@@ -13,8 +13,9 @@ from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.avatar.visibility import seen_from
 from gavatar_runtime.geometry.skinning import skin
 from gavatar_runtime.play.framing import frame_motion
-from gavatar_runtime.play.player import play
-from gavatar_runtime.render.choice import build_rasterizer
+from gavatar_runtime.play.outputs.nowhere import Nowhere
+from gavatar_runtime.play.player import play_images
+from gavatar_runtime.render.renderer import Renderer
 from gavatar_runtime.values.camera import Camera, look_at
 from gavatar_runtime.values.motion import Motion
 
@@ -122,14 +123,10 @@ def test_playing_makes_no_array_of_the_size_of_the_avatar_in_any_frame(tmp_path,
     poses = np.zeros((3, 52, 3), np.float32)
     poses[:, 16, 2] = (0, 0.5, 1)
     motion = motion_of(poses)
-    camera, rasterizer = frame_motion(avatar, motion, 256, 256), build_rasterizer()
-
-    class Nowhere:
-        choose = staticmethod(lambda count: list(range(count)))
-        add = close = discard = staticmethod(lambda *image: None)
+    camera, renderer = frame_motion(avatar, motion, 256, 256), Renderer(avatar)
 
     many = motion_of(np.tile(poses, (8, 1, 1)))
-    play(avatar, many, camera, rasterizer, Nowhere())
+    play_images(renderer, many, camera, Nowhere())
     before = []
 
     def progress(done: int, total: int) -> None:
@@ -139,7 +136,7 @@ def test_playing_makes_no_array_of_the_size_of_the_avatar_in_any_frame(tmp_path,
 
     tracemalloc.start()
     try:
-        play(avatar, many, camera, rasterizer, Nowhere(), progress=progress)
+        play_images(renderer, many, camera, Nowhere(), progress=progress)
         peak = tracemalloc.get_traced_memory()[1] - before[0]
     finally:
         tracemalloc.stop()

@@ -9,11 +9,11 @@ import subprocess
 import tempfile
 from pathlib import Path
 from types import ModuleType
-from typing import Protocol
+from typing import IO, Any, Protocol, cast
 
 import numpy as np
 
-from ..errors import UserError
+from ...errors import UserError
 
 INSTALL = "pip install 'gavatar[video]'"
 # What the program is asked for, the first that it has: H.264, or what every build of ffmpeg brings.
@@ -21,7 +21,10 @@ CODECS = {"libx264": ("-preset", "veryfast", "-crf", "18"), "mpeg4": ("-q:v", "3
 
 
 class Encoder(Protocol):
-    """Constructed as `encoder(path, width, height, fps)`, sides even; OSError where it does not take such frames."""
+    """Turns frames into a file."""
+
+    def __init__(self, path: Path, width: int, height: int, fps: float):
+        """Sides are even. Raises OSError where it does not take such frames."""
 
     def write(self, image: np.ndarray) -> None:
         """Append (H, W, 3) uint8 RGB. Raises OSError with the cause where the encoder gave up."""
@@ -63,7 +66,8 @@ class OpenCV:
     """MPEG-4 Part 2, by the libraries that OpenCV's wheel carries."""
 
     def __init__(self, path: Path, width: int, height: int, fps: float):
-        self._cv2, self.path = _opencv(), path
+        self._cv2: Any = _opencv()
+        self.path = path
         self._video = self._cv2.VideoWriter(str(path), self._cv2.VideoWriter_fourcc(*"mp4v"), fps, (width, height))
         if not self._video.isOpened():
             raise OSError("OpenCV's codec refuses it")
@@ -92,22 +96,23 @@ class Ffmpeg:
         if codec is None:
             raise OSError(f"the program ffmpeg has neither of {' and '.join(CODECS)}")
         command = [
-            shutil.which("ffmpeg"), "-hide_banner", "-loglevel", "error", "-y",
+            str(shutil.which("ffmpeg")), "-hide_banner", "-loglevel", "error", "-y",
             "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:.6f}", "-i", "pipe:0",
             "-c:v", codec, *CODECS[codec], "-pix_fmt", "yuv420p", "-f", "mp4", str(path),
         ]  # fmt: skip
         self._said = tempfile.TemporaryFile()  # noqa: SIM115  # closed by `abort`
         self._program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._said)
+        self._frames = cast("IO[bytes]", self._program.stdin)
 
     def write(self, image: np.ndarray) -> None:
         try:
-            self._program.stdin.write(np.ascontiguousarray(image))
+            self._frames.write(np.ascontiguousarray(image).data)
         except OSError as error:  # it ended
             raise OSError(f"ffmpeg says: {self._last_words() or error}") from error
 
     def finish(self, count: int) -> None:
         with contextlib.suppress(OSError):  # it ended, and says why below
-            self._program.stdin.close()
+            self._frames.close()
         if self._program.wait() != 0:
             raise OSError(f"ffmpeg says: {self._last_words() or f'exit code {self._program.returncode}'}")
         if not count:
@@ -116,7 +121,7 @@ class Ffmpeg:
     def abort(self) -> None:
         self._program.kill()
         with contextlib.suppress(OSError):  # what is still to be flushed goes nowhere
-            self._program.stdin.close()
+            self._frames.close()
         self._program.wait()
         self._said.close()
 

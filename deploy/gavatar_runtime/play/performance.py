@@ -1,0 +1,240 @@
+"""Playing an avatar from a motion into a file: what `gavatar-play` does, for programs."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Literal
+
+from ..avatar.adaptive import AdaptiveAvatar
+from ..avatar.played import PlayedAvatar
+from ..bundle import Bundle, read_bundle
+from ..errors import WrongValue
+from ..motions import MOTIONS, read_motion
+from ..render.choice import best_rasterizer, player_rasterizers
+from ..render.rasterizers import Rasterizer
+from ..values.camera import Camera
+from ..values.motion import Motion
+from .defaults import AUTO
+from .outputs import FrameFormat, Output, default_output, find_output, open_output, output_called
+from .player import Progress, Timings, play_gaussians, play_images
+from .staging import Clip, Level, View, differing
+
+
+@dataclasses.dataclass(frozen=True)
+class PlayReport:
+    """What was played.
+
+    avatar, motion: their names. output: the path that was written. frames: that it holds. width, height: pixels, and
+    rasterizer, the class that drew; None where nothing was drawn. gaussians: of the avatar at full detail. tier, uv:
+    how they were decoded. ignored_joints: what moves in the motion that the body lacks. notes: sentences for the user.
+    ready_seconds: from the call to the first frame. timings: of each frame. budget_ms, levels: of an avatar that
+    adapts (`AdaptiveAvatar.report`), else None and ().
+    """
+
+    avatar: str
+    motion: str
+    output: str
+    frames: int
+    width: int | None
+    height: int | None
+    fps: float
+    gaussians: int
+    tier: str | None
+    uv: int
+    rasterizer: str | None
+    threads: int | None
+    ignored_joints: tuple[str, ...]
+    notes: tuple[str, ...]
+    ready_seconds: float
+    timings: Timings = dataclasses.field(repr=False)
+    budget_ms: float | None = None
+    levels: tuple[dict[str, Any], ...] = ()
+
+
+def perform(
+    avatar: str | os.PathLike | Bundle | PlayedAvatar,
+    motion: str | Path | Motion | None = None,
+    out: str | os.PathLike | None = None,
+    *,
+    output: str | None = None, output_options: Mapping[str, Any] | None = None,
+    fps: float | None = None, seconds: float | None = None, frames: slice | None = None, ground: bool = False,
+    size: int | None = None, width: int | None = None, height: int | None = None,
+    camera: str | float | Camera = "front", orbit: float | bool | None = None,
+    background: str | Sequence[float] = "white",
+    rasterizer: str | Rasterizer = AUTO, rasterizer_options: Mapping[str, Any] | None = None,
+    tier: str | None = None, min_psnr: float | None = None, target_fps: float | None = None,
+    budget_ms: float | None = None, uv: int | Literal["auto"] | None = None, seen_only: bool = False, reuse: int = 1,
+    threads: int | None = None,
+    progress: Progress | None = None, tell: Callable[[str], None] | None = None,
+) -> PlayReport:  # fmt: skip
+    """Play an avatar through a motion into a file.
+
+    avatar: a bundle, its path, or an avatar, which is played as it was opened. motion: one, or the name or file of one.
+    out: where to, the kind of output by its suffix (`find_output`); None is a video beside the bundle, or a folder of
+    frames where no video can be written. output, output_options: the name of an output where the suffix alone does not
+    tell, and options of its own (`open_output`).
+    fps, seconds, frames, ground: which part of the motion (`Clip`). size, width, height, camera, orbit, background,
+    rasterizer, rasterizer_options: how the person is looked at and drawn (`View`). tier, min_psnr, target_fps,
+    budget_ms, uv, seen_only, reuse, threads: how they are decoded (`Level`); where none of these chooses a tier, fps
+    does.
+    progress: called as `progress(done, total)` after each frame. tell: called with each note when it comes up.
+    Raises UserError for whatever the caller can mend; no file is left behind then.
+    """
+    start = perf_counter()
+    clip = Clip(fps, seconds, frames, ground)
+    view = View(size, width, height, camera, orbit, background, rasterizer, rasterizer_options)
+    level = Level(tier, min_psnr, target_fps, budget_ms, uv, seen_only, reuse, threads)
+    notes = _Notes(tell)
+    motion = clip.of(motion if isinstance(motion, Motion) else read_motion(motion or MOTIONS.default))
+    source = read_bundle(avatar) if isinstance(avatar, (str, os.PathLike)) else avatar
+    out = _default_path(source, motion, output, notes) if out is None else out
+    drawn = find_output(out, output).wants == "image"
+    if not drawn:
+        _check_undrawn(out, view, level, notes)
+    elif rasterizer == AUTO:
+        notes.add(_slower_rasterizer())
+    played = _opened(source, clip, view, level, motion)
+    motion, ignored = clip.fitted(played, motion)
+    notes.add(f"the body has no {_listed(ignored)}; the motion's are ignored" if ignored else "")
+    opened = partial(open_output, out, name=output, options=output_options)
+    ready = _images(played, motion, opened, view, threads) if drawn else _gaussians(played, motion, opened)
+    seconds_to_ready = perf_counter() - start
+    timings = ready.play(progress=progress)
+    for note in ready.output.notes:
+        notes.add(note)
+    return _report(str(out), ready, played, motion, threads, ignored, tuple(notes.all), seconds_to_ready, timings)
+
+
+class _Notes:
+    """Sentences for the user, told as they come up and kept; '' is none."""
+
+    def __init__(self, tell: Callable[[str], None] | None):
+        self.all: list[str] = []
+        self._tell = tell
+
+    def add(self, note: str) -> None:
+        if not note:
+            return
+        self.all.append(note)
+        if self._tell is not None:
+            self._tell(note)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Ready:
+    """What is ready to be played: what does it, where to, and the class that draws, if any."""
+
+    play: Callable[..., Timings]
+    output: Output[Any]
+    frames: FrameFormat
+    rasterizer: str | None = None
+
+
+def _images(
+    avatar: PlayedAvatar,
+    motion: Motion,
+    opened: Callable[[FrameFormat], Output[Any]],
+    view: View,
+    threads: int | None,
+) -> _Ready:
+    cameras = view.cameras(avatar, motion)
+    renderer = view.renderer(avatar, threads)
+    frames = FrameFormat(motion.fps, cameras[0].width, cameras[0].height, view.color)
+    output = opened(frames)
+    play = partial(play_images, renderer, motion, cameras, output, background=view.color)
+    return _Ready(play, output, frames, type(renderer.rasterizer).__name__)
+
+
+def _gaussians(avatar: PlayedAvatar, motion: Motion, opened: Callable[[FrameFormat], Output[Any]]) -> _Ready:
+    frames = FrameFormat(motion.fps)
+    output = opened(frames)
+    return _Ready(partial(play_gaussians, avatar, motion, output), output, frames)
+
+
+def _report(
+    out: str,
+    ready: _Ready,
+    avatar: PlayedAvatar,
+    motion: Motion,
+    threads: int | None,
+    ignored: tuple[str, ...],
+    notes: tuple[str, ...],
+    seconds_to_ready: float,
+    timings: Timings,
+) -> PlayReport:
+    adaptive = avatar if isinstance(avatar, AdaptiveAvatar) else None
+    return PlayReport(
+        avatar=avatar.name,
+        motion=motion.name,
+        output=out,
+        frames=len(timings),
+        width=ready.frames.width or None,
+        height=ready.frames.height or None,
+        fps=motion.fps,
+        gaussians=len(avatar),
+        tier=avatar.tier,
+        uv=avatar.uv,
+        rasterizer=ready.rasterizer,
+        threads=threads,
+        ignored_joints=ignored,
+        notes=notes,
+        ready_seconds=seconds_to_ready,
+        timings=timings,
+        budget_ms=1000 * adaptive.budget_s if adaptive else None,
+        levels=tuple(adaptive.report()) if adaptive else (),
+    )
+
+
+def _opened(source: Bundle | PlayedAvatar, clip: Clip, view: View, level: Level, motion: Motion) -> PlayedAvatar:
+    if isinstance(source, Bundle):
+        return level.open(source, clip, view, motion)
+    given = [name for name in differing(level) if name != "threads"]
+    if given:
+        raise WrongValue(
+            f"the avatar is open already, by tier {source.tier}: leave {_options(given)} out, or give its bundle"
+        )
+    return source
+
+
+def _default_path(source: Bundle | PlayedAvatar, motion: Motion, output: str | None, notes: _Notes) -> str:
+    """A name beside the bundle, for the output of that name or the default one."""
+    path = Path(source.path if isinstance(source, Bundle) else source.bundle.path).resolve()
+    name = f"{path.parent / path.stem}_{motion.name}"
+    if output is not None:
+        return name + next(iter(output_called(output).suffixes), "")
+    chosen, preferred = default_output()
+    place = name + output_called(chosen.name).suffixes[0]
+    if chosen is not preferred:
+        notes.add(f"{place} is {chosen.summary}: {preferred.summary} {preferred.missing()}")
+    return place
+
+
+def _slower_rasterizer() -> str:
+    """A note where `auto` is not the rasterizer that is preferred, '' where it is."""
+    traits = {component.name: component.default_traits for component in player_rasterizers()}
+    preferred = player_rasterizers()[max(traits, key=lambda name: traits[name].preference if traits[name] else 0)]
+    why, drawn_by = preferred.missing(), best_rasterizer()
+    return f"rasterizer {drawn_by}, for {preferred.name} ({preferred.summary}) is missing: {why}" if why else ""
+
+
+def _check_undrawn(out: str | os.PathLike, view: View, level: Level, notes: _Notes) -> None:
+    """Note what an output of Gaussians makes no use of; UserError for what would decode for a camera."""
+    if level.seen_only or level.uv == AUTO:
+        option = "`seen_only`" if level.seen_only else f"`uv={AUTO}`"
+        raise WrongValue(f"{option} goes by what a camera sees, and {out} takes all Gaussians: leave it out")
+    unused = list(dict.fromkeys(name.removesuffix("_options") for name in differing(view)))
+    if unused:
+        notes.add(f"{out} takes the Gaussians, which nothing draws: {_options(unused)} had no use")
+
+
+def _options(names: Sequence[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
