@@ -10,13 +10,14 @@ DEMO_ARGS ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help setup demo test lint wheel clean
+.PHONY: help setup demo test lint native-check wheel clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo 'make demo    train, evaluate, export and play the shipped capture (DEMO_ARGS=... is passed on)'
 	@echo 'make test    run the tests (WORKERS=2, PYTEST_ARGS="-k registry")'
 	@echo 'make lint    ruff check and ruff format --check'
+	@echo 'make native-check  the compiled kernel without warnings, under sanitizers and as 64-bit ARM code'
 	@echo 'make wheel   build dist/gavatar-*.whl'
 	@echo 'make setup   only make the environment $(VENV)'
 	@echo 'make clean   remove build outputs and $(VENV)'
@@ -24,7 +25,8 @@ help:
 
 setup: $(STAMP)
 
-$(STAMP): pyproject.toml constraints.txt $(wildcard setup.py deploy/native/*)
+$(STAMP): pyproject.toml constraints.txt $(wildcard setup.py deploy/native/*) \
+    deploy/gavatar_runtime/render/rasterizers/rules.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo 'error: constraints.txt needs Python 3.11 or later: set PYTHON=python3.11' >&2; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -40,6 +42,11 @@ test: $(STAMP)
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+native-check: $(STAMP)
+	PYTHON=$(BIN)/python tools/native_warnings.sh
+	PYTHON=$(BIN)/python tools/native_sanitize.sh
+	PYTHON=$(BIN)/python tools/native_neon.sh
 
 wheel: $(STAMP)
 	$(BIN)/python -m build --wheel --no-isolation .

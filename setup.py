@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import platform
+import runpy
 import shutil
 import subprocess
 import sys
@@ -19,11 +20,12 @@ from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
 
 SOURCES = Path("deploy", "native")
+RULES = Path("deploy", "gavatar_runtime", "render", "rasterizers", "rules.py")
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 # never -ffast-math: loading a library linked with it changes the denormal handling of the whole process
 FLAGS = [
     "-std=c++17", "-O3", "-fPIC", "-fvisibility=hidden", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast",
-    "-DNDEBUG", "-w",
+    "-DNDEBUG", "-Wall", "-Wextra",
 ]  # fmt: skip
 X86 = {
     "sse4": ["-msse4.1"],
@@ -40,6 +42,26 @@ def find_compiler() -> str | None:
     return None
 
 
+def write_rule(folder: Path) -> None:
+    """Write splatting_rule.h, the constants of rules.py, into `folder`, so that they stand in one place."""
+    rule = {name: value for name, value in runpy.run_path(str(RULES)).items() if name.isupper()}
+    lines = [
+        f"// The splatting rule's constants, written by setup.py from {RULES.name}.",
+        "#pragma once",
+        "namespace gv {",
+        *(f"constexpr float {name} = {float(value)!r}f;" for name, value in rule.items()),
+        "struct RuleConstant {",
+        "  const char* name;",
+        "  float value;",
+        "};",
+        "constexpr RuleConstant RULE[] = {",
+        *(f'    {{"{name}", {name}}},' for name in rule),
+        "};",
+        "}  // namespace gv",
+    ]
+    Path(folder, "splatting_rule.h").write_text("\n".join(lines) + "\n")
+
+
 def compile_library(target: Path, flags: list[str] | None = None) -> None:
     """Compile deploy/native into the shared library `target`, all files at once. Raises OSError or
     CalledProcessError."""
@@ -48,14 +70,15 @@ def compile_library(target: Path, flags: list[str] | None = None) -> None:
         raise OSError("no C++ compiler was found")
     x86 = platform.machine().lower() in ("x86_64", "amd64") and sys.maxsize > 2**32
     sets = X86 if x86 else {"baseline": []}
-    jobs = [("engine", "engine.cpp", []), ("pool", "pool.cpp", []), ("resize", "resize.cpp", [])]
-    jobs += [(name, "kernels.cpp", [*extra, f"-DGV_NAMESPACE={name}"]) for name, extra in sets.items()]
+    jobs = [(name, "kernels.cpp", [*extra, f"-DGV_NAMESPACE={name}"]) for name, extra in sets.items()]
+    jobs += [(path.stem, path.name, []) for path in sorted(SOURCES.glob("*.cpp")) if path.name != "kernels.cpp"]
     flags = [*FLAGS, *(flags or []), *([] if x86 else ["-DGV_BASELINE_ONLY"])]
     with tempfile.TemporaryDirectory() as folder:
+        write_rule(Path(folder))
         running = []
         for name, source, extra in jobs:
             output = str(Path(folder, f"{name}.o"))
-            command = [*compiler.split(), *flags, *extra, "-c", str(SOURCES / source), "-o", output]
+            command = [*compiler.split(), *flags, *extra, f"-I{folder}", "-c", str(SOURCES / source), "-o", output]
             running.append((subprocess.Popen(command), command, output))
         for process, command, _ in running:
             if process.wait():

@@ -1,9 +1,11 @@
 #!/bin/sh
 # The native kernel for 64-bit ARM: cross-compiled, and, where QEMU's user emulation is installed, run beside this
 # machine's own build on the same scene (needs g++-aarch64-linux-gnu, qemu-user-static).
-#   tools/native_neon.sh
+#   PYTHON=python3 tools/native_neon.sh
 set -eu
 cd "$(dirname "$0")/.."
+command -v aarch64-linux-gnu-g++ > /dev/null || { echo "NEON: aarch64-linux-gnu-g++ is not installed, not run"; exit 0; }
+PYTHON=${PYTHON:-python3}
 WORK=$(mktemp -d)
 trap 'rm -rf "$WORK"' EXIT
 cat > "$WORK/draw.cpp" <<'CPP'
@@ -49,20 +51,22 @@ int main() {
   }
 }
 CPP
+PYTHONPATH=".${PYTHONPATH:+:$PYTHONPATH}" "$PYTHON" -c \
+    'import pathlib, sys, setup; setup.write_rule(pathlib.Path(sys.argv[1]))' "$WORK"
 build() { # compiler, output, flags...
     compiler=$1; output=$2; shift 2
-    "$compiler" -std=c++17 -O2 -fno-math-errno -fno-trapping-math -ffp-contract=fast -w -DGV_BASELINE_ONLY \
-        -DGV_NAMESPACE=baseline -Ideploy/native "$@" deploy/native/engine.cpp deploy/native/pool.cpp deploy/native/resize.cpp \
-        deploy/native/kernels.cpp "$WORK/draw.cpp" -o "$output" -pthread
+    "$compiler" -std=c++17 -O2 -fno-math-errno -fno-trapping-math -ffp-contract=fast -Wall -Wextra -Werror \
+        -DGV_BASELINE_ONLY -DGV_NAMESPACE=baseline -I"$WORK" -Ideploy/native "$@" \
+        deploy/native/*.cpp "$WORK/draw.cpp" -o "$output" -pthread
 }
 build aarch64-linux-gnu-g++ "$WORK/arm" -static
 echo "NEON: compiled, $(aarch64-linux-gnu-objdump -d "$WORK/arm" | grep -c 'fmla.*v[0-9]*\.4s') vector multiply-adds"
 QEMU=$(command -v qemu-aarch64-static || command -v qemu-aarch64 || true)
-[ -n "$QEMU" ] || { echo "not run: qemu-user-static is not installed"; exit 0; }
+[ -n "$QEMU" ] || { echo "NEON: qemu-user-static is not installed, not run"; exit 0; }
 build "${CXX:-g++}" "$WORK/here"
 "$QEMU" "$WORK/arm" > "$WORK/arm.bin"
 "$WORK/here" > "$WORK/here.bin"
-"${PYTHON:-python3}" - "$WORK/arm.bin" "$WORK/here.bin" <<'PY'
+"$PYTHON" - "$WORK/arm.bin" "$WORK/here.bin" <<'PY'
 import array
 import sys
 
@@ -71,7 +75,7 @@ pixels = 150 * 110
 image = max(abs(x - y) for x, y in zip(a[: 5 * pixels], b[: 5 * pixels]))
 g, h = a[5 * pixels :], b[5 * pixels :]
 gradient = (sum((x - y) ** 2 for x, y in zip(g, h)) / sum(y * y for y in h)) ** 0.5
-print(f"images differ by {image:.1e} at most, gradients by {gradient:.1e} in relative L2")
+print(f"NEON: images differ by {image:.1e} at most, gradients by {gradient:.1e} in relative L2")
 # float32 arithmetic in another order: a few hundred roundings of 6e-8; the 1/255 threshold may flip in a pixel
 sys.exit(not (len(a) == len(b) and image < 1e-2 and gradient < 1e-3))
 PY

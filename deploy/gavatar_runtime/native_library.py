@@ -9,12 +9,17 @@ import ctypes
 import functools
 import os
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from .errors import UserError
+from .render.rasterizers import rules
 
-ABI_VERSION = 3
+ABI_VERSION = 4
 LIBRARY = Path(__file__).with_name("_gavatar_native" + {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so"))
+
+INSTALL_AGAIN = "install gavatar again (in a checkout: pip install -e .)"
 
 _P, _F, _D, _I, _L = ctypes.c_void_p, ctypes.c_float, ctypes.c_double, ctypes.c_int32, ctypes.c_int64
 
@@ -23,7 +28,7 @@ def _struct(name: str, *fields) -> type[ctypes.Structure]:
     return type(name, (ctypes.Structure,), {"_fields_": list(fields), "__slots__": ()})
 
 
-# These mirror gavatar_native.h, field by field; ABI_VERSION changes with them.
+# These mirror gavatar_native.h, field by field: GvGaussians is GaussiansStruct here. ABI_VERSION changes with them.
 _ARRAYS = [(name, _P) for name in ("means", "scales", "colors", "opacities", "quaternions")]
 GaussiansStruct = _struct("GaussiansStruct", ("count", _L), *_ARRAYS, ("normals", _P), ("scale_columns", _I))
 CameraStruct = _struct(
@@ -42,8 +47,17 @@ ReportStruct = _struct(
 GradientsStruct = _struct("GradientsStruct", *_ARRAYS)
 BackwardReportStruct = _struct("BackwardReportStruct", ("blend_s", _D), ("project_s", _D))
 
+STRUCTS = (
+    GaussiansStruct, CameraStruct, OptionsStruct, ImagesStruct, ReportStruct, GradientsStruct, BackwardReportStruct,
+)  # fmt: skip
+RULE = {name: value for name, value in vars(rules).items() if name.isupper()}
+
+# What `mismatch` calls once the version is right, before it is known whether all else is.
+_CHECKS = {
+    "gv_struct_size": (_L, [ctypes.c_char_p]),
+    "gv_rule": (_D, [ctypes.c_char_p]),
+}
 _SIGNATURES = {
-    "gv_abi_version": (_I, []),
     "gv_compiler": (ctypes.c_char_p, []),
     "gv_isa_count": (_I, []),
     "gv_isa_name": (ctypes.c_char_p, [_I]),
@@ -68,6 +82,34 @@ _SIGNATURES = {
 }
 
 
+def _declare(lib: ctypes.CDLL, signatures: dict[str, tuple[Any, list[Any]]]) -> None:
+    """Raises AttributeError for a function that the library lacks."""
+    for name, (result, arguments) in signatures.items():
+        function = getattr(lib, name)
+        function.restype, function.argtypes = result, arguments
+
+
+def mismatch(
+    lib: ctypes.CDLL,
+    structs: Sequence[type[ctypes.Structure]] = STRUCTS,
+    rule: Mapping[str, float] = RULE,
+) -> str:
+    """What `lib` was compiled with that this package has otherwise, '' if nothing: version, sizes of structs, rule."""
+    if lib.gv_abi_version() != ABI_VERSION:
+        return f"version {lib.gv_abi_version()} of the interface, {ABI_VERSION} is needed"
+    _declare(lib, _CHECKS)
+    for struct in structs:
+        name, wanted = "Gv" + struct.__name__.removesuffix("Struct"), ctypes.sizeof(struct)
+        size = lib.gv_struct_size(name.encode())
+        if size != wanted:
+            return f"its {name} has {size} bytes, {wanted} are needed"
+    for name, value in rule.items():
+        compiled = lib.gv_rule(name.encode())
+        if compiled != ctypes.c_float(value).value:
+            return f"its {name} is {compiled:g}, the rule's is {value:g}"
+    return ""
+
+
 @functools.cache
 def _load() -> tuple[ctypes.CDLL | None, str]:
     """The library and '', or None and the reason."""
@@ -78,13 +120,13 @@ def _load() -> tuple[ctypes.CDLL | None, str]:
         return None, f"{path.name} was not compiled when gavatar was installed (no C++ compiler, or it failed)"
     try:
         lib = ctypes.CDLL(str(path))
-        for name, (result, arguments) in _SIGNATURES.items():
-            function = getattr(lib, name)
-            function.restype, function.argtypes = result, arguments
+        difference = mismatch(lib)
+        if not difference:
+            _declare(lib, _SIGNATURES)
     except (OSError, AttributeError) as error:
-        return None, f"{path.name} cannot be loaded ({error})"
-    if lib.gv_abi_version() != ABI_VERSION:
-        return None, f"{path.name} is of another version of gavatar; install gavatar again"
+        return None, f"{path.name} cannot be loaded ({error}); {INSTALL_AGAIN}"
+    if difference:
+        return None, f"{path.name} is of another version of gavatar ({difference}); {INSTALL_AGAIN}"
     if not lib.gv_isa_supported(0):
         return None, "this processor lacks SSE4.1"
     wanted = os.environ.get("GAVATAR_NATIVE_ISA")

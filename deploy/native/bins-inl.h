@@ -21,7 +21,7 @@ GV_INLINE void append(const Projection& p, Bins& bins, uint32_t tile, Entry e) {
 GV_NOINLINE static void bin_tiles(const Projection& p, Bins& bins, Entry e, uint32_t x,
                                   uint32_t y) {
   uint32_t x0 = x & 0xffff, x1 = x >> 16, y0 = y & 0xffff, y1 = y >> 16;
-  const int g = p.granularity, b = 3 - g;              // a block's number loses g bits and keeps b
+  const int g = p.granularity, b = 3 - g;  // a block's number loses g bits and keeps b
   uint32_t tx0 = x0 >> 3, tx1 = x1 >> 3, ty0 = y0 >> 3, ty1 = y1 >> 3;  // tiles
   for (uint32_t ty = ty0; ty <= ty1; ty++) {
     // from block 0 but in the first tile, to block 7 but in the last

@@ -1,5 +1,5 @@
-// Camera points and 2D covariances of Gaussians by the splatting rule: J Sigma J^T + LOW_PASS I with
-// J = [[fx/z, 0, -fx/z tx], [0, fy/z, -fy/z ty]], where tx = X/Z and ty = Y/Z are clamped.
+// Camera points and 2D covariances of Gaussians by the splatting rule: J Sigma J^T + LOW_PASS I
+// with J = [[fx/z, 0, -fx/z tx], [0, fy/z, -fy/z ty]], where tx = X/Z and ty = Y/Z are clamped.
 #pragma once
 #include "kernels.h"
 #include "scalars-inl.h"
@@ -7,8 +7,8 @@
 
 namespace gv::GV_NAMESPACE {
 
-// The camera point of each Gaussian of a batch, computed in double: the order of depths is then that
-// of the float64 reference, and large world coordinates cost no precision.
+// The camera point of each Gaussian of a batch, computed in double: the order of depths is then
+// that of the float64 reference, and large world coordinates cost no precision.
 struct CameraPoints {
   alignas(64) float x[BATCH], y[BATCH], z[BATCH];
 };

@@ -1,9 +1,28 @@
-// The entries of a tile in order of depth.
+// The tile's entries in order of depth, handed out in chunks, so that what opaque pixels hide is
+// never sorted. First all entries fall into buckets by depth; chunks are then whole buckets, sorted
+// as they are asked for.
 #pragma once
+#include <stddef.h>
+#include <stdint.h>
+
 #include "kernels.h"
 #include "simd-inl.h"
 
 namespace gv::GV_NAMESPACE {
+
+GV_INLINE uint32_t depth_bits(Entry e) { return (uint32_t)(e >> 32); }
+GV_INLINE float depth_of(Entry e) {
+  uint32_t bits = depth_bits(e);
+  float depth;
+  __builtin_memcpy(&depth, &bits, 4);
+  return depth;
+}
+// The blocks of the tile that an entry touches.
+GV_INLINE uint64_t blocks_of(Entry e, const Projection& p) {
+  const int bits = 6 - 2 * p.granularity;
+  uint32_t code = (uint32_t)e, m = (1u << bits) - 1;
+  return p.columns[code & m] & p.rows[code >> bits & m];
+}
 
 // At most CHUNK entries, those of even and those of odd places apart.
 struct Chosen {
@@ -11,29 +30,23 @@ struct Chosen {
   Entry even[HALF + 1], odd[HALF];  // one more, for the neighbour of the last odd one
 
   Entry& at(uint32_t i) {
-    // A pointer first: GCC spreads an index over both sides of a choice of arrays, and what a sanitizer adds to the
-    // index is then computed on one side only.
+    // A pointer first: GCC spreads an index over both sides of a choice of arrays, and what a
+    // sanitizer adds to the index is then computed on one side only.
     Entry* half = i & 1 ? odd : even;
     return half[i >> 1];
   }
 };
 
-GV_INLINE uint64_t blocks_of(Entry e, const Projection& p) {
-  const int bits = 6 - 2 * p.granularity;
-  uint32_t code = (uint32_t)e, m = (1u << bits) - 1;
-  return p.columns[code & m] & p.rows[code >> bits & m];
-}
+constexpr int MOST_BUCKETS = 4096;
 
-// The tile's entries in order of depth, handed out in pieces, so that what opaque pixels hide is never sorted.
-// First all entries fall into buckets by depth; the pieces are then whole buckets, sorted as they are asked for.
 struct DepthOrder {
   Entry* entries;
-  uint32_t count, position, sorted_until;
-  uint32_t nearest, shift;
-  uint32_t* ends;  // of the buckets
+  uint32_t count, position, sorted_until;  // entries; given out; in order, from the first on
+  uint32_t nearest, shift;                 // bucket = (depth bits - nearest) >> shift
+  uint32_t* ends;                          // of the buckets
   void (*sort)(Entry*, size_t);
 
-  uint32_t bucket(Entry e) const { return ((uint32_t)(e >> 32) - nearest) >> shift; }
+  uint32_t bucket(Entry e) const { return (depth_bits(e) - nearest) >> shift; }
 };
 
 template <typename F>
@@ -51,10 +64,12 @@ GV_INLINE void each_entry(const TileJob& job, F visit) {
   }
 }
 
+// Counting sort by bucket. `histogram`: room for MOST_BUCKETS + 2. Counts stand one place further
+// on, so that their running sum is where each bucket starts, and, once filled, where it ends.
 GV_NOINLINE static DepthOrder bucket_entries(const TileJob& job, uint32_t* histogram) {
   uint32_t nearest = ~0u, farthest = 0;
   each_entry(job, [&](Entry e) {
-    uint32_t z = (uint32_t)(e >> 32);
+    uint32_t z = depth_bits(e);
     nearest = z < nearest ? z : nearest;
     farthest = z > farthest ? z : farthest;
   });
@@ -66,21 +81,23 @@ GV_NOINLINE static DepthOrder bucket_entries(const TileJob& job, uint32_t* histo
     __builtin_memcpy(&bits, &limit, 4);
     farthest = bits < farthest ? bits : farthest;
   }
+  // 2^wanted buckets at most, about one to four for each entry
   int wanted = job.count > 1500 ? 12 : job.count > 512 ? 10 : job.count > 64 ? 8 : 4;
   int bits = 32 - __builtin_clz((farthest - nearest) | 1);
-  DepthOrder order{job.work, job.count, 0, 0, nearest, (uint32_t)(bits > wanted ? bits - wanted : 0), histogram, job.sort};
+  uint32_t shift = (uint32_t)(bits > wanted ? bits - wanted : 0);
+  DepthOrder order{job.work, job.count, 0, 0, nearest, shift, histogram, job.sort};
   uint32_t buckets = ((farthest - nearest) >> order.shift) + 1;
   __builtin_memset(histogram, 0, 4 * (buckets + 1));
   if (job.options->depth_cut > 0) {
     order.count = 0;
     each_entry(job, [&](Entry e) {
-      if ((uint32_t)(e >> 32) > farthest) return;
+      if (depth_bits(e) > farthest) return;
       histogram[order.bucket(e) + 1]++;
       order.count++;
     });
     for (uint32_t i = 1; i <= buckets; i++) histogram[i] += histogram[i - 1];
     each_entry(job, [&](Entry e) {
-      if ((uint32_t)(e >> 32) <= farthest) order.entries[histogram[order.bucket(e)]++] = e;
+      if (depth_bits(e) <= farthest) order.entries[histogram[order.bucket(e)]++] = e;
     });
     return order;
   }
@@ -90,15 +107,17 @@ GV_NOINLINE static DepthOrder bucket_entries(const TileJob& job, uint32_t* histo
   return order;
 }
 
-// Odd-even transposition: neighbours change places until none has to. What comes in is in order but for the few
-// that share a bucket, so this takes about as many turns as the largest bucket has entries, and each turn is a few
-// vector operations without a branch, where to insert one by one is a guess for every entry.
+// Odd-even transposition: neighbours change places until none has to. What comes in is in order but
+// for the few that share a bucket, so this takes about as many turns as the largest bucket has
+// entries, and each turn is a few vector operations without a branch, where to insert one by one is
+// a guess for every entry.
 GV_NOINLINE static void sort_chosen(Chosen& c, uint32_t n) {
-  if (n & 1) c.odd[n / 2] = ~(Entry)0 >> 1;
+  const Entry last = ~(Entry)0 >> 1;  // entries are below 2^63: their first bit is a depth's sign
+  if (n & 1) c.odd[n / 2] = last;
   uint32_t pairs = (n + 1) / 2;
-  c.even[pairs] = ~(Entry)0 >> 1;
+  c.even[pairs] = last;
   for (;;) {
-    int64_t moved = 0;  // entries are below 2^63: their first bit is the sign of a depth
+    int64_t moved = 0;  // negative once two have changed places
     for (uint32_t i = 0; i < pairs; i++) {
       int64_t a = (int64_t)c.even[i], b = (int64_t)c.odd[i];
       moved |= b - a;
@@ -115,7 +134,8 @@ GV_NOINLINE static void sort_chosen(Chosen& c, uint32_t n) {
   }
 }
 
-// The next entries that touch a block of `alive`, at most CHUNK, in order; 0 when there are no more.
+// The next entries that touch a block of `alive`, at most CHUNK, in order; 0 when there are no
+// more.
 GV_NOINLINE static int next_chunk(DepthOrder& o, uint64_t alive, const Projection& p, Chosen& out) {
   const int index_shift = 4 * (3 - p.granularity);
   uint32_t n = 0;
@@ -146,9 +166,10 @@ GV_NOINLINE static int next_chunk(DepthOrder& o, uint64_t alive, const Projectio
     o.position = end;
     for (; from < to; from++) {
       Entry e = *from;
-      out.at(n) = e;
+      out.at(n) = e;  // overwritten by the next one unless it counts
       n += (blocks_of(e, p) & alive) != 0;
-      // Records lie in the order of the input, so each is a miss in the cache, and a wait when it is read: begin now.
+      // Records lie in the order of the input, so each is a miss in the cache, and a wait when it
+      // is read: begin now.
       __builtin_prefetch(&p.records[(uint32_t)e >> index_shift], 0, 2);
     }
   }

@@ -1,6 +1,7 @@
-// What the dispatcher (engine.cpp, compiled once) and the kernels (kernels.cpp, compiled once per instruction set)
-// share: plain data, and a table of functions. Nothing here may become code in a kernel's object file that the linker
-// could choose for the baseline too, so there are no standard containers and no non-trivial inline functions.
+// What the engine (compiled once) and the kernels (kernels.cpp, compiled once per instruction set)
+// share: plain data, and a table of functions. Nothing here may become code in a kernel's object
+// file that the linker could choose for the baseline too, so there are no standard containers and
+// no non-trivial inline functions.
 #pragma once
 #include <stddef.h>
 #include <stdint.h>
@@ -10,30 +11,35 @@
 
 namespace gv {
 
-// A tile is 32x32 pixels: 64 blocks of 4x4, so that a set of blocks is one 64-bit word and a block is one vector of 16.
+// A tile is 32x32 pixels: 64 blocks of 4x4, so that a set of blocks is one 64-bit word and a block
+// is one vector of 16.
 constexpr int TILE = 32;
-constexpr int BLOCKS = 64;  // in a tile
-constexpr int CHUNK = 256;  // Gaussians blended into a tile at a time
-constexpr int BATCH = 64;   // Gaussians projected at a time
+constexpr int BLOCKS = 64;     // in a tile
+constexpr int CHUNK = 256;     // Gaussians blended into a tile at a time
+constexpr int BATCH = 64;      // Gaussians projected at a time
+constexpr int SSIM_TAPS = 11;  // of the largest window
 
 constexpr float LOG2E = 1.4426950408889634f;
 constexpr float LOG2_255 = 7.994353436858858f;
-static_assert(ALPHA_MIN == 1.f / 255.f, "Record, LOG2_255 and power() of simd-inl.h count in 1/255");
+static_assert(ALPHA_MIN == 1.f / 255.f,
+              "Record, LOG2_255 and power() of simd-inl.h count in 1/255");
 
 // A Gaussian on the image. Its alpha at offset (dx, dy) from (u, v) is 2^e / 255, where
-// e = lift - (x dx)^2 - (y dy + yx dx)^2: below zero where alpha is below 1/255. u and v count from the centre of pixel
-// (0, 0).
+// e = lift - (x dx)^2 - (y dy + yx dx)^2: below zero where alpha is below 1/255. u and v count from
+// the centre of pixel (0, 0).
 struct Record {
   float u, v, x, y, yx, r, g, b;
 };
 
-// One (Gaussian, tile) pair: depth bits, index, range of blocks, from the top bit down; comparing entries as numbers
-// orders them by (depth, index), since the bits of positive floats sort like the floats.
-// The range is x0, x1, y0, y1 of 3 - granularity bits each; where there are more than 2^20 Gaussians the range is made
-// coarser and the index longer.
+// One (Gaussian, tile) pair: depth bits, index, range of blocks, from the top bit down; comparing
+// entries as numbers orders them by (depth, index), since the bits of positive floats sort like the
+// floats.
+// The range is x0, x1, y0, y1 of 3 - granularity bits each, from the lowest bit up; where there are
+// more than 2^20 Gaussians the range is made coarser and the index longer.
 typedef uint64_t Entry;
 
-// 512 bytes at a multiple of 512, so that where the next entry goes says in which block, and whether that is full.
+// 512 bytes at a multiple of 512, so that where the next entry goes says in which block, and
+// whether that is full.
 struct alignas(512) EntryBlock {
   static constexpr uint32_t CAPACITY = 61;
   Entry entry[CAPACITY];
@@ -42,14 +48,17 @@ struct alignas(512) EntryBlock {
 };
 static_assert(sizeof(EntryBlock) == 512, "the low nine bits of a cursor are its place in a block");
 
-// The entries that one thread has made, by tile: cursors to where the next one goes, NO_ENTRIES at first.
+// The entries that one thread has made, by tile: cursors to where the next one goes, NO_ENTRIES at
+// first.
 struct Bins {
   Entry** cursors;
   int64_t visible, dropped;
   void* owner;
 };
-static Entry* const NO_ENTRIES = (Entry*)(sizeof(Entry) * EntryBlock::CAPACITY);  // the end of no block
+// The end of no block.
+static Entry* const NO_ENTRIES = (Entry*)(sizeof(Entry) * EntryBlock::CAPACITY);
 
+// The block that a cursor points into, or behind; null for NO_ENTRIES.
 static inline __attribute__((always_inline)) EntryBlock* block_of(const Entry* cursor) {
   return (EntryBlock*)((uintptr_t)cursor & ~(uintptr_t)511);
 }
@@ -65,7 +74,8 @@ struct Projection {
   float eye[3], backface;  // the camera's centre; `backface` is 0 without normals
   bool antialiased;
   int32_t granularity;
-  // Blocks of a tile by a range of columns or rows, as an entry holds it: first | last << (3 - granularity).
+  // Blocks of a tile by a range of columns or rows as an entry holds it: first | last << bits, of
+  // 3 - granularity bits each.
   uint64_t columns[64], rows[64];
   Record* records;
   float* lift;  // log2(255 opacity), compensation included, or null for LOG2_255
@@ -87,14 +97,14 @@ struct TileJob {
   int32_t tile_x, tile_y;
   Bins** bins;
   int32_t bin_count;
-  uint32_t count;     // entries
-  Entry* work;        // (count) room to sort in
-  void* scratch;      // forward_scratch_bytes
+  uint32_t count;  // entries
+  Entry* work;     // (count) room to sort in
+  void* scratch;   // (scratch_bytes)
   void (*sort)(Entry*, size_t);
   uint32_t* kept_index;  // (count) room for what is kept, or null
   uint64_t* kept_blocks;
   float* kept_depth;
-  uint32_t blended;   // out
+  uint32_t blended;        // out
   double sort_s, blend_s;  // out
   double (*clock)();
 };
@@ -116,36 +126,41 @@ struct BackwardTileJob {
   Kept kept;
   Sums* sums;      // (count) out
   MoreSums* more;  // (count) out, null unless opacity or depth gradients flow
-  void* scratch;   // backward_scratch_bytes
+  void* scratch;   // (scratch_bytes)
 };
 
 struct Kernels {
-  size_t forward_scratch_bytes, backward_scratch_bytes;
+  size_t scratch_bytes;  // that a tile's job needs, forward or backward
   void (*project)(const Projection*, Bins*, int64_t begin, int64_t end);
   void (*forward_tile)(TileJob*);  // of a tile that has entries
   // The background on columns [x0, x1) and rows [y0, y1).
-  void (*background)(const Projection*, const GvOptions*, const GvImages*, int32_t x0, int32_t x1, int32_t y0,
-                     int32_t y1);
+  void (*background)(const Projection*, const GvOptions*, const GvImages*, int32_t x0, int32_t x1,
+                     int32_t y0, int32_t y1);
   void (*backward_tile)(BackwardTileJob*);
   // Gradients of Gaussians [begin, end) from their sums, which are cleared.
-  void (*backward_project)(const Projection*, Sums*, MoreSums*, const GvGradients*, int64_t begin, int64_t end);
-  // False when an index is not below `joints`.
-  bool (*skin)(int64_t begin, int64_t end, int32_t slots, int32_t joints, const float* points, const int32_t* index,
-               const float* weight, const float* columns, float* out);
-  bool (*skin_backward)(int64_t begin, int64_t end, int32_t slots, int32_t joints, int32_t stride, const float* points,
-                        const int32_t* index, const float* weight, const float* transforms, const float* grad_out,
-                        float* grad_points, float* grad_transforms);
-  bool (*blendshapes)(int64_t begin, int64_t end, int32_t groups, int32_t parts, const float* base, const uint8_t* part,
-                      const int8_t* basis, const float* coefficients, const float* gains, float* points, float* colors,
-                      float* scales);
-  bool (*upsample)(int64_t begin, int64_t end, int32_t slots, int32_t rows, const float* base, const int32_t* index,
-                   const float* weight, const float* table, float* points, float* colors, float* scales);
+  void (*backward_project)(const Projection*, Sums*, MoreSums*, const GvGradients*, int64_t begin,
+                           int64_t end);
+  // Those that return a bool: false when an index is out of range.
+  bool (*skin)(int64_t begin, int64_t end, int32_t slots, int32_t joints, const float* points,
+               const int32_t* index, const float* weight, const float* columns, float* out);
+  bool (*skin_backward)(int64_t begin, int64_t end, int32_t slots, int32_t joints, int32_t stride,
+                        const float* points, const int32_t* index, const float* weight,
+                        const float* transforms, const float* grad_out, float* grad_points,
+                        float* grad_transforms);
+  bool (*blendshapes)(int64_t begin, int64_t end, int32_t groups, int32_t parts, const float* base,
+                      const uint8_t* part, const int8_t* basis, const float* coefficients,
+                      const float* gains, float* points, float* colors, float* scales);
+  bool (*upsample)(int64_t begin, int64_t end, int32_t slots, int32_t rows, const float* base,
+                   const int32_t* index, const float* weight, const float* table, float* points,
+                   float* colors, float* scales);
   size_t (*ssim_scratch_floats)(int32_t width, int32_t taps_x, int32_t taps_y);
   // `gradient` may be null. `column` and `line`: the window's weights down and along.
-  void (*ssim_plane)(int32_t height, int32_t width, int32_t taps_y, int32_t taps_x, const float* column,
-                     const float* line, const float* x, const float* y, double* value, float* gradient, float* scratch);
-  bool (*sparse_product)(int64_t begin, int64_t end, int32_t channels, int32_t rows, const int32_t* offset,
-                         const int32_t* index, const float* weight, const float* table, float* out);
+  void (*ssim_plane)(int32_t height, int32_t width, int32_t taps_y, int32_t taps_x,
+                     const float* column, const float* line, const float* x, const float* y,
+                     double* value, float* gradient, float* scratch);
+  bool (*sparse_product)(int64_t begin, int64_t end, int32_t channels, int32_t rows,
+                         const int32_t* offset, const int32_t* index, const float* weight,
+                         const float* table, float* out);
 };
 
 }  // namespace gv

@@ -49,10 +49,13 @@ void Pool::resize(int threads) {
 bool Pool::take(uint64_t epoch, int thread) {
   uint64_t ticket = ticket_.load(std::memory_order_acquire);
   for (;;) {
-    if ((ticket & ~(JOB - 1)) != epoch || (uint32_t)ticket >= count_.load(std::memory_order_relaxed)) return false;
+    if ((ticket & ~(JOB - 1)) != epoch ||
+        (uint32_t)ticket >= count_.load(std::memory_order_relaxed))
+      return false;
     Task task = task_.load(std::memory_order_relaxed);
     void* context = context_.load(std::memory_order_relaxed);
-    // Success means that the job was still open, hence that count, task and context above were its own.
+    // Success means that the job was still open, hence that count, task and context above were its
+    // own.
     if (ticket_.compare_exchange_weak(ticket, ticket + 1, std::memory_order_acq_rel)) {
       task(context, (uint32_t)ticket, thread);
       done_.fetch_add(1, std::memory_order_release);
@@ -69,7 +72,8 @@ void Pool::work(int thread, uint32_t generation) {
     uint64_t epoch;
     for (;;) {
       epoch = ticket_.load(std::memory_order_acquire) & ~(JOB - 1);
-      // after the ticket: a job published by a resized pool must not be taken under an old thread number
+      // after the ticket: a job published by a resized pool must not be taken under an old thread
+      // number
       if (generation_.load(std::memory_order_acquire) != generation) return;
       if (epoch != seen) break;
       if (seconds() > until) {
@@ -83,8 +87,7 @@ void Pool::work(int thread, uint32_t generation) {
       }
       for (int i = 0; i < 16; i++) relax();
     }
-    while (take(epoch, thread)) {
-    }
+    while (take(epoch, thread)) {}
     seen = epoch;
   }
 }
@@ -104,7 +107,8 @@ void Pool::run(uint32_t count, Task task, void* context) {
       break;
     }
   }
-  // Close the former job before count, task and context change: a late worker's compare-exchange then fails.
+  // Close the former job before count, task and context change: a late worker's compare-exchange
+  // then fails.
   uint64_t epoch = (ticket_.load() & ~(JOB - 1)) + JOB;
   ticket_.store(epoch | (JOB - 1), std::memory_order_seq_cst);
   count_.store(count, std::memory_order_relaxed);
@@ -118,8 +122,7 @@ void Pool::run(uint32_t count, Task task, void* context) {
     ticket_.store(epoch, std::memory_order_seq_cst);
   }
   if (sleeping_.load() > 0) wake_.notify_all();
-  while (take(epoch, 0)) {
-  }
+  while (take(epoch, 0)) {}
   // Tasks begun elsewhere are short; a worker that lost its core is worth giving ours to.
   for (int spins = 0; done_.load(std::memory_order_acquire) != count; spins++) {
     if (spins < 2000) relax();

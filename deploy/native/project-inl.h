@@ -18,22 +18,22 @@ struct Batch {
   alignas(64) float u[BATCH], v[BATCH], x[BATCH], y[BATCH], yx[BATCH];
   alignas(64) float r[BATCH], g[BATCH], b[BATCH];
   alignas(64) float A[BATCH], B[BATCH], C[BATCH], det[BATCH], sharp_det[BATCH];  // Covariance
-  alignas(64) float support[BATCH];   // squared Mahalanobis distance where alpha is ALPHA_MIN
-  alignas(64) float finite[BATCH];    // 0 where all fields are finite, else NaN
-  alignas(64) uint32_t good[BATCH];   // 1 where all fields are finite and no scale is negative
+  alignas(64) float support[BATCH];     // squared Mahalanobis distance where alpha is ALPHA_MIN
+  alignas(64) float finite[BATCH];      // 0 where all fields are finite, else NaN
+  alignas(64) uint32_t good[BATCH];     // 1 where all fields are finite and no scale is negative
   alignas(64) uint32_t visible[BATCH];  // 1 where it is good and reaches a pixel
 };
 
 // Where the Gaussians of a batch reach. `columns` and `rows` are ranges of blocks as an entry holds
 // them, rows already in their place.
 struct Reach {
-  alignas(64) uint32_t bx[BATCH], by[BATCH];           // first and last block: low and high 16 bits
-  alignas(64) uint32_t tile[BATCH];                    // that holds the first block
-  alignas(64) uint32_t columns[BATCH], rows[BATCH];    // of that tile
+  alignas(64) uint32_t bx[BATCH], by[BATCH];         // first and last block: low and high 16 bits
+  alignas(64) uint32_t tile[BATCH];                  // that holds the first block
+  alignas(64) uint32_t columns[BATCH], rows[BATCH];  // of that tile
   alignas(64) uint32_t next_columns[BATCH], next_rows[BATCH];  // of the tile to the right and below
-  alignas(64) uint32_t right[BATCH], down[BATCH];      // 1 where it reaches the tile there
-  alignas(64) uint32_t beyond[BATCH];                  // 1 where it reaches further than that
-  alignas(64) Entry entry[BATCH];                      // depth and index
+  alignas(64) uint32_t right[BATCH], down[BATCH];              // 1 where it reaches the tile there
+  alignas(64) uint32_t beyond[BATCH];  // 1 where it reaches further than that
+  alignas(64) Entry entry[BATCH];      // depth and index
 };
 
 // 0 for a finite x and NaN otherwise: such values added up find any bad field at once.
@@ -45,8 +45,8 @@ GV_INLINE void read_fields(const Projection& p, const GvGaussians& in, int64_t f
   const float *means = in.means, *colors = in.colors;
   for (int j = 0; j < BATCH; j++) {
     float f = nothing_if_finite(means[3 * j]) + nothing_if_finite(means[3 * j + 1]) +
-        nothing_if_finite(means[3 * j + 2]) + nothing_if_finite(colors[3 * j]) +
-        nothing_if_finite(colors[3 * j + 1]) + nothing_if_finite(colors[3 * j + 2]);
+              nothing_if_finite(means[3 * j + 2]) + nothing_if_finite(colors[3 * j]) +
+              nothing_if_finite(colors[3 * j + 1]) + nothing_if_finite(colors[3 * j + 2]);
     s.r[j] = colors[3 * j];
     s.g[j] = colors[3 * j + 1];
     s.b[j] = colors[3 * j + 2];
@@ -93,8 +93,7 @@ GV_INLINE void project_shapes(const Projection& p, const GvGaussians& in, Batch&
       rotated_axes(p, quaternions ? quaternions + 4 * j : identity, sj, axes);
       cov = general_covariance(p, axes.W, inv_z, tx, ty, m0, m1);
       smallest = smaller(smaller(sj[0], sj[1]), sj[2]);
-      s.finite[j] +=
-          nothing_if_finite(sj[0]) + nothing_if_finite(sj[1]) + nothing_if_finite(sj[2]);
+      s.finite[j] += nothing_if_finite(sj[0]) + nothing_if_finite(sj[1]) + nothing_if_finite(sj[2]);
     } else {
       cov = isotropic_covariance(p, scales[j] * inv_z, tx, ty);
       smallest = scales[j];
@@ -149,7 +148,7 @@ GV_INLINE void place(const Projection& p, int64_t first, Batch& s, Reach& out) {
     uint32_t by1 = (uint32_t)(int32_t)clamp(y1, 0.f, y_max) >> 2;
     out.bx[j] = bx0 | bx1 << 16;
     out.by[j] = by0 | by1 << 16;
-    uint32_t tx = bx0 >> 3, ty = by0 >> 3;  // a tile has 8x8 blocks
+    uint32_t tx = bx0 >> 3, ty = by0 >> 3;                        // a tile has 8x8 blocks
     uint32_t more_x = (bx1 >> 3) - tx, more_y = (by1 >> 3) - ty;  // tiles after the first
     out.tile[j] = ty * p.tiles_x + tx;
     out.right[j] = more_x != 0, out.down[j] = more_y != 0;
@@ -196,8 +195,8 @@ static void store_records(const Batch& s, Record* out) {
 #endif
 }
 
-// Appends the entries of the batch's first n Gaussians. Works on sets of them, one bit each, so that
-// the processor has nothing to guess but where a set ends.
+// Appends the entries of the batch's first n Gaussians. Works on sets of them, one bit each, so
+// that the processor has nothing to guess but where a set ends.
 GV_INLINE void append_entries(const Projection& p, Bins& bins, const Batch& s, const Reach& to,
                               int n) {
   const uint64_t all = ~0ull >> (BATCH - n);
@@ -208,9 +207,8 @@ GV_INLINE void append_entries(const Projection& p, Bins& bins, const Batch& s, c
   auto each = [](uint64_t set, auto visit) {
     for (; set; set &= set - 1) visit(__builtin_ctzll(set));  // the lowest bit, then without it
   };
-  each(plain, [&](int j) {
-    append(p, bins, to.tile[j], to.entry[j] | to.columns[j] | to.rows[j]);
-  });
+  each(plain,
+       [&](int j) { append(p, bins, to.tile[j], to.entry[j] | to.columns[j] | to.rows[j]); });
   each(to_right, [&](int j) {
     append(p, bins, to.tile[j] + 1, to.entry[j] | to.next_columns[j] | to.rows[j]);
   });

@@ -69,8 +69,7 @@ struct PlaceGradient {
 
 // Of a sphere. `scale`: dL/dscale.
 GV_INLINE PlaceGradient isotropic_gradient(const Projection& p, const CovarianceGradient& g,
-                                           float s, float inv_z, float tx, float ty,
-                                           float* scale) {
+                                           float s, float inv_z, float tx, float ty, float* scale) {
   float kx = p.fx * inv_z, ky = p.fy * inv_z;
   float shape = g.A * kx * kx * (1 + tx * tx) + g.C * ky * ky * (1 + ty * ty) +
                 g.B * kx * ky * tx * ty;
@@ -111,12 +110,12 @@ GV_INLINE void quaternion_gradient(const float q[4], const float G[9], float out
   float inverse = norm > 0 ? 1.f / __builtin_sqrtf(norm) : 0.f;
   float w = q[0] * inverse, x = q[1] * inverse, y = q[2] * inverse, z = q[3] * inverse;
   float gw = 2 * (x * (G[7] - G[5]) + y * (G[2] - G[6]) + z * (G[3] - G[1]));
-  float gx =
-      2 * (y * (G[1] + G[3]) + z * (G[2] + G[6]) + w * (G[7] - G[5]) - 2 * x * (G[4] + G[8]));
-  float gy =
-      2 * (x * (G[1] + G[3]) + z * (G[5] + G[7]) + w * (G[2] - G[6]) - 2 * y * (G[0] + G[8]));
-  float gz =
-      2 * (x * (G[2] + G[6]) + y * (G[5] + G[7]) + w * (G[3] - G[1]) - 2 * z * (G[0] + G[4]));
+  float gx = 2 *
+             (y * (G[1] + G[3]) + z * (G[2] + G[6]) + w * (G[7] - G[5]) - 2 * x * (G[4] + G[8]));
+  float gy = 2 *
+             (x * (G[1] + G[3]) + z * (G[5] + G[7]) + w * (G[2] - G[6]) - 2 * y * (G[0] + G[8]));
+  float gz = 2 *
+             (x * (G[2] + G[6]) + y * (G[5] + G[7]) + w * (G[3] - G[1]) - 2 * z * (G[0] + G[4]));
   float radial = gw * w + gx * x + gy * y + gz * z;  // the norm has no influence
   out[0] = (gw - radial * w) * inverse;
   out[1] = (gx - radial * x) * inverse;
@@ -213,14 +212,13 @@ GV_INLINE void write_gradients(const Projection& p, const BatchGradients& g, con
       if (GENERAL)
         for (int k = 0; k < 3; k++)
           out.scales[3 * (first + j) + k] = touched[j] ? g.scales[k][j] : 0.f;
-      else
-        out.scales[first + j] = touched[j] ? g.scales[0][j] : 0.f;
+      else out.scales[first + j] = touched[j] ? g.scales[0][j] : 0.f;
     }
   if (out.quaternions)
     for (int j = 0; j < n; j++)
       for (int k = 0; k < 4; k++)
-        out.quaternions[4 * (first + j) + k] =
-            quaternions && touched[j] ? g.quaternions[k][j] : 0.f;
+        out.quaternions[4 * (first + j) + k] = quaternions && touched[j] ? g.quaternions[k][j]
+                                                                         : 0.f;
   if (out.colors)
     for (int j = 0; j < n; j++)
       for (int k = 0; k < 3; k++) out.colors[3 * (first + j) + k] = S[5 + k][j];

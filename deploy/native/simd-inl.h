@@ -1,7 +1,12 @@
-// Vectors of the widest kind the compiler's flags allow, and sixteen-pixel values built of them.
+// Vectors of the widest kind the compiler's flags allow.
 //
-// Written with the vector extensions of GCC and Clang, so that one source serves AVX-512, AVX2, SSE and NEON; intrinsics
-// stand only where the extension has no word (min, max, reciprocal, sign mask), each with a portable twin.
+// Written with the vector extensions of GCC and Clang, so that one source serves AVX-512, AVX2, SSE
+// and NEON; intrinsics stand only where the extension has no word (minimum, reciprocal, sign mask),
+// each with a portable twin.
+//
+// This file and all -inl.h files are compiled once per instruction set, in the namespace
+// gv::GV_NAMESPACE, by kernels.cpp alone. A file that is included twice there is empty the second
+// time; nothing of it may be included anywhere else.
 #pragma once
 #include <stdint.h>
 
@@ -15,27 +20,37 @@
 #define GV_LANES 4
 #endif
 #if defined(__SSE4_1__)
+#if !defined(__clang__)  // GCC 12 warns of its own header (bug 105593)
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
+#endif
 #include <immintrin.h>
+#if !defined(__clang__)
+#pragma GCC diagnostic pop
+#endif
 #elif defined(__ARM_NEON)
 #include <arm_neon.h>
 #endif
 #define GV_INLINE static inline __attribute__((always_inline))
-#define GV_NOINLINE __attribute__((noinline))  // where copies in every template would only cost compile time
+// where copies in every template would only cost compile time
+#define GV_NOINLINE __attribute__((noinline))
 
 namespace gv::GV_NAMESPACE {
 
 constexpr int LANES = GV_LANES;
-constexpr int PARTS = 16 / LANES;  // native vectors in sixteen pixels
+constexpr int PARTS = 16 / LANES;  // vectors of sixteen pixels
 
 typedef float V __attribute__((vector_size(4 * GV_LANES)));
 typedef int32_t I __attribute__((vector_size(4 * GV_LANES)));
 typedef uint32_t U __attribute__((vector_size(4 * GV_LANES)));
 
 GV_INLINE V splat(float x) { return V{} + x; }
+// A mask has all bits of a lane set or none, as comparisons leave them.
 GV_INLINE V select(I mask, V yes, V no) { return mask ? yes : no; }
 GV_INLINE V keep(I mask, V x) { return (V)((I)x & mask); }
 GV_INLINE V drop(I mask, V x) { return (V)((I)x & ~mask); }
-// All bits where x is below zero. A comparison would say the same, but on Zen 4 it takes a port that multiplies.
+// All bits where x is below zero (or -0). A comparison would say the same, but on Zen 4 it takes a
+// port that multiplies.
 GV_INLINE I negative(V x) { return (I)x >> 31; }
 GV_INLINE V load(const float* p) {
   V x;
@@ -44,6 +59,7 @@ GV_INLINE V load(const float* p) {
 }
 GV_INLINE void store(float* p, V x) { __builtin_memcpy(p, &x, sizeof x); }
 
+// any_positive: a lane of 0 may count or not.
 #if GV_LANES == 16 && defined(__AVX512F__)
 GV_INLINE V minimum(V a, V b) { return (V)_mm512_min_ps((__m512)a, (__m512)b); }
 GV_INLINE V reciprocal_estimate(V x) { return (V)_mm512_rcp14_ps((__m512)x); }
@@ -72,7 +88,7 @@ GV_INLINE bool any_positive(V x) {
 #define GV_HAS_ESTIMATE 0
 #endif
 
-// The lowest bit of each lane of n whole vectors' worth of words, as a number.
+// Bit j of the result: the lowest bit of words[j]. n: a multiple of LANES, at most 64.
 GV_INLINE uint64_t lowest_bits(const uint32_t* words, int n) {
   uint64_t bits = 0;
   for (int j = 0; j < n; j += LANES) {
@@ -94,7 +110,8 @@ GV_INLINE uint64_t lowest_bits(const uint32_t* words, int n) {
   return bits;
 }
 
-// 1/x to float32 accuracy. The estimate has 12 bits or more, one Newton step doubles them; a division costs more.
+// 1/x to float32 accuracy. The estimate has 12 bits or more, one Newton step doubles them; a
+// division costs more.
 GV_INLINE V reciprocal(V x) {
 #if GV_HAS_ESTIMATE
   V r = reciprocal_estimate(x);
@@ -104,22 +121,25 @@ GV_INLINE V reciprocal(V x) {
 #endif
 }
 
-// Whole and part: x is whole(t) + f with f in [-1/2, 1/2] where t = rounded(x), and y 2^whole(t) is scaled(y, t).
+// Whole and part: x is whole(t) + f with f in [-1/2, 1/2] where t = rounded(x), and y 2^whole(t) is
+// scaled(y, t).
 #if GV_LANES == 16 && defined(__AVX512F__)
 GV_INLINE V rounded(V x) { return (V)_mm512_roundscale_ps((__m512)x, 8); }
 GV_INLINE V whole(V t) { return t; }
 GV_INLINE V scaled(V y, V t) { return (V)_mm512_scalef_ps((__m512)y, (__m512)t); }
 #else
-constexpr float ROUND = 12582912.f;  // 1.5 * 2^23: added, it leaves the nearest integer in the lowest bits
+// 1.5 * 2^23: added, it leaves the nearest integer in the lowest bits.
+constexpr float ROUND = 12582912.f;
 GV_INLINE V rounded(V x) { return x + ROUND; }
 GV_INLINE V whole(V t) { return t - ROUND; }
+// The integer in the lowest bits of t is added to the exponent of y, which begins at bit 23.
 GV_INLINE V scaled(V y, V t) { return (V)((U)y + ((U)t << 23)); }
 #endif
 
-// 2^x / 255 for x in [0, 100]: a polynomial, minimax in relative error (1.6e-7 of degree 5, 7.5e-5 of degree 3), for
-// what rounding leaves. Below 0 is rubbish that the caller masks.
-// N values go step by step together: one alone is a chain of dependent operations, and a processor's window is too
-// short to find the next one behind it.
+// 2^x / 255 for x in [0, 100]: a polynomial, minimax in relative error (1.6e-7 of degree 5, 7.5e-5
+// of degree 3 with FAST), for what rounding leaves. Below 0 is rubbish that the caller masks.
+// N values go step by step together: one alone is a chain of dependent operations, and a
+// processor's window is too short to find the next one behind it.
 template <bool FAST, int N>
 GV_INLINE void power(const V (&x)[N], V (&p)[N]) {
   V t[N], f[N];
@@ -157,8 +177,11 @@ GV_INLINE void store4(float* p, Four x) { __builtin_memcpy(p, &x, sizeof x); }
 #define GV_SHUFFLE4(a, b, ...) __builtin_shuffle(a, b, FourInts{__VA_ARGS__})
 #endif
 
-// ---- transposition of LANES x LANES floats ----------------------------------------------------------------------
-// out[lane] is taken from a (index < LANES) or b (index - LANES).
+// ---- transposition of LANES x LANES floats -----------------------------------------------------
+//
+// GV_SHUFFLE(a, b, i...): lane by lane the i-th of a, or the (i - LANES)-th of b. The indices are
+// made at compile time, from Lanes<0, 1, ..., LANES - 1>.
+
 template <int... N>
 struct Lanes {};
 template <int N, int... Rest>
@@ -172,8 +195,15 @@ struct MakeLanes<0, Rest...> {
 #else
 #define GV_SHUFFLE(a, b, ...) __builtin_shuffle(a, b, I{__VA_ARGS__})
 #endif
-constexpr int interleave(int l, int high) { return (l & ~3) + ((l & 3) >> 1) + 2 * high + (l & 1) * LANES; }
-constexpr int pair_up(int l, int high) { return (l & ~3) + (l & 1) + 2 * high + ((l & 2) ? LANES : 0); }
+// Of lane l in each group of four: a0 b0 a1 b1 (or with `high` a2 b2 a3 b3),
+constexpr int interleave(int l, int high) {
+  return (l & ~3) + ((l & 3) >> 1) + 2 * high + (l & 1) * LANES;
+}
+// a0 a1 b0 b1 (a2 a3 b2 b3),
+constexpr int pair_up(int l, int high) {
+  return (l & ~3) + (l & 1) + 2 * high + ((l & 2) ? LANES : 0);
+}
+// and, s lanes being a group, the even groups of a and b by turns (the odd ones).
 constexpr int exchange(int l, int s, int high) {
   return (l & s) == (high ? s : 0) ? (high ? LANES + l : l) : (high ? l + s : LANES + l - s);
 }
@@ -189,6 +219,7 @@ template <int S, int HIGH, int... N>
 GV_INLINE V exchange_v(V a, V b, Lanes<N...>) {
   return GV_SHUFFLE(a, b, exchange(N, S, HIGH)...);
 }
+// Groups of S lanes and S rows change places across the diagonal.
 template <int S>
 GV_INLINE void exchange_rows(V* m) {
   for (int i = 0; i < LANES; i++)
@@ -199,12 +230,15 @@ GV_INLINE void exchange_rows(V* m) {
     }
 }
 
-// m[row][column] becomes m[column][row]. Two steps inside groups of four lanes, then whole groups change places.
+// m[row][column] becomes m[column][row]. Two steps inside groups of four lanes, then whole groups
+// change places.
 GV_INLINE void transpose(V* m) {
   typename MakeLanes<LANES>::type lanes;
   for (int i = 0; i < LANES; i += 4) {
-    V a = interleave_v<0>(m[i], m[i + 1], lanes), b = interleave_v<1>(m[i], m[i + 1], lanes);
-    V c = interleave_v<0>(m[i + 2], m[i + 3], lanes), d = interleave_v<1>(m[i + 2], m[i + 3], lanes);
+    V a = interleave_v<0>(m[i], m[i + 1], lanes);
+    V b = interleave_v<1>(m[i], m[i + 1], lanes);
+    V c = interleave_v<0>(m[i + 2], m[i + 3], lanes);
+    V d = interleave_v<1>(m[i + 2], m[i + 3], lanes);
     m[i] = pair_up_v<0>(a, c, lanes);
     m[i + 1] = pair_up_v<1>(a, c, lanes);
     m[i + 2] = pair_up_v<0>(b, d, lanes);

@@ -12,6 +12,7 @@ import threading
 import numpy as np
 import pytest
 import torch
+from children import child_environment
 from places import ROOT
 from splat_scenes import FIELDS, as_numpy, as_torch, body_camera, body_scene, map_fields, random_scene, simple_camera
 
@@ -372,11 +373,6 @@ sys.exit(0 if same and os.waitpid(child, 0)[1] == 0 else 1)
     assert done.returncode == 0
 
 
-def child_environment(**more: str) -> dict[str, str]:
-    path = os.pathsep.join([str(ROOT), str(ROOT / "deploy"), os.environ.get("PYTHONPATH", "")])
-    return {**os.environ, "PYTHONPATH": path, **more}
-
-
 def test_denormals_are_left_alone():
     script = """
 import numpy as np
@@ -389,33 +385,6 @@ tiny = np.full(100, np.finfo(np.float32).tiny)
 assert (tiny / 2 > 0).all() and (tiny / 2 * 2 == tiny).all()
 """
     assert subprocess.run([sys.executable, "-c", script], timeout=60, env=child_environment()).returncode == 0
-
-
-def test_without_the_library_it_says_why_and_skinning_goes_on():
-    script = """
-import numpy as np
-from gavatar_runtime import native_library as nl
-from gavatar_runtime.errors import UserError
-from gavatar_runtime.render.rasterizers.native import NativeRasterizer, available
-from gavatar_runtime.geometry.skinning import skin
-assert available() == (False, "it is switched off by GAVATAR_NATIVE=0"), available()
-try:
-    NativeRasterizer()
-except UserError as error:
-    assert "GAVATAR_NATIVE=0" in str(error) and "numpy" in str(error)
-else:
-    raise SystemExit("no UserError")
-points = np.ones((5, 3), np.float32)
-moved = skin(points, np.zeros((5, 1), np.int32), np.ones((5, 1), np.float32), np.eye(4, dtype=np.float32)[None])
-assert np.array_equal(moved, points)
-"""
-    environment = child_environment(GAVATAR_NATIVE="0")
-    assert subprocess.run([sys.executable, "-c", script], timeout=60, env=environment).returncode == 0
-
-
-def test_an_unknown_instruction_set_is_named():
-    with pytest.raises(UserError, match="pentium"):
-        nl.use_instruction_set("pentium")
 
 
 # The player's binding
@@ -584,17 +553,3 @@ def test_skinning_gradients_agree_with_torch(slots):
     assert relative(by_A, T.grad.numpy()) < 1e-5  # thousands of float32 terms a sum
     nl.set_threads(1)
     np.testing.assert_array_equal(skin_gradients(points, index, weight, A, upstream)[1], by_A)
-
-
-# Building
-
-
-def test_a_build_without_a_compiler_fails_with_the_reason(monkeypatch, tmp_path):
-    pytest.importorskip("setuptools", minversion="77")
-    monkeypatch.syspath_prepend(str(ROOT))
-    import setup
-
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delenv("CXX", raising=False)
-    with pytest.raises(OSError, match="no C\\+\\+ compiler"):
-        setup.compile_library(tmp_path / "lib.so")
