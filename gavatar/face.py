@@ -169,9 +169,7 @@ class TrainedRun:
         if path.suffix != ".gavatar":
             raise UserError(f"{path}: a bundle's name ends in .gavatar")
         if poses < 1:
-            raise UserError(
-                f"{poses} poses to verify on: give at least 1, an export that is not verified is not written"
-            )
+            raise UserError(f"poses={poses}: give at least 1, an export that is not verified is not written")
         run = self._afresh()
         names = [name.strip() for name in tiers.split(",") if name.strip()] if isinstance(tiers, str) else list(tiers)
         if names == ["auto"]:
