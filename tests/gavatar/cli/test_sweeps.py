@@ -173,6 +173,18 @@ def test_a_crash_of_a_job_is_shown_whole_and_worse_than_a_mistake(place, monkeyp
     assert train("capture=captures/a") == 1
 
 
+@pytest.mark.parametrize(
+    ("override", "sentence"),
+    [("hydra/launcher=jolib", "Could not find 'hydra/launcher/jolib'"), ("hydra.sweep.dri=x", "hydra.sweep.dri")],
+)
+def test_a_wrong_setting_of_hydra_is_one_sentence(place, override, sentence, capsys):
+    assert train("capture=captures/a,captures/b", "--multirun", override) == 2
+    errors = capsys.readouterr().err
+    assert sentence in errors
+    assert errors.count("\n") == 1
+    assert not list(place.glob("**/.gavatar*"))
+
+
 def test_jobs_that_end_without_a_word_are_an_error(place, monkeypatch, capsys):
     monkeypatch.setattr(jobs.Job, "__call__", lambda self, config: None)
     assert train("capture=captures/*", "--multirun") == 1
