@@ -12,7 +12,7 @@ from gavatar_runtime.errors import UserError, exit_cleanly
 from ..optional import requires_extra
 
 if TYPE_CHECKING:
-    from ..evaluation.scores import Evaluation
+    from ..evaluation.result import Evaluation
 
 DESCRIPTION = "Evaluate a trained run: PSNR, SSIM, perceptual distance and joint errors per split."
 EPILOG = """examples
@@ -48,7 +48,7 @@ def parser() -> argparse.ArgumentParser:
 
 def evaluate_one(arguments: argparse.Namespace, directory: Path, out: Path) -> Evaluation:
     """Evaluate a run and write evaluation.json and .png to `out`."""
-    from ..evaluation.report import evaluation_figure
+    from ..evaluation.evaluation_figure import evaluation_figure
     from ..face import open_run
 
     result = open_run(directory, arguments.stage, arguments.capture).evaluate(
@@ -90,8 +90,6 @@ def evaluate_all(arguments: argparse.Namespace, folder: Path) -> int:
 def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
-    from ..evaluation.report import table
-
     if arguments.fit_steps < 1:
         raise UserError("--fit-steps must be at least 1; leave fitting out with --no-fit")
     if arguments.all:
@@ -100,9 +98,7 @@ def main(argv: list[str] | None = None) -> int:
         return evaluate_all(arguments, Path(arguments.run))
     out = Path(arguments.out or arguments.run)
     result = evaluate_one(arguments, Path(arguments.run), out)
-    print(table(result))
-    if result.dynamics is not None:
-        print(result.dynamics.sentence())
+    print(result)
     print(f"\nwrote {out / 'evaluation.json'} and {out / 'evaluation.png'}")
     return 0
 

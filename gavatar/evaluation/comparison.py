@@ -12,9 +12,9 @@ from typing import Any
 from gavatar_runtime.errors import UserError
 
 from ..storage import atomic, write_json
+from ..text_table import format_table
 from ..training.places import CONFIG
-from .report import format_table
-from .scores import Evaluation
+from .result import Evaluation
 
 # of a row of a run, with the decimals of its column; a column that no run has is left out
 COLUMNS = {

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gavatar.config import LevelConfig
@@ -31,6 +31,7 @@ def parsed(override: str):
     return found.key_or_group, found.value()
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)  # its tables of characters are made once
 @given(VALUES)
 def test_every_value_is_read_back_as_it_was(value):
     assert parsed(f"key={literal(value)}") == ("key", value)
