@@ -64,7 +64,11 @@ def refuse_another(written: WrittenRun, config: TrainConfig, content: str) -> No
 
 
 def differences(former: dict[str, Any], now: dict[str, Any], above: str = "") -> list[str]:
-    """The settings that differ, by their whole names, those that are one value with what they were and are."""
+    """The settings that differ, by their whole names, with what they were and are where that is one value. Of another
+    component only its name is told."""
+    names = former.get("name"), now.get("name")
+    if names[0] != names[1]:
+        return [f"{above.removesuffix('.')} ({names[0]}, now {names[1]})"]
     found = []
     for key in now | former:
         one, other = former.get(key), now.get(key)
