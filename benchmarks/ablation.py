@@ -102,7 +102,8 @@ def overrides(args: argparse.Namespace, preset: str, kind: str, seed: str) -> li
 
 
 def run_directory(args: argparse.Namespace, preset: str, kind: str, seed: str) -> Path:
-    return args.out / f"{preset}_{kind}_{seed}"
+    """Of the capture as well, so that tables of several captures share a folder."""
+    return args.out / args.capture.name / f"{preset}_{kind}_{seed}"
 
 
 def one(args: argparse.Namespace) -> None:
@@ -197,10 +198,9 @@ def _pictures(args: argparse.Namespace, run, folder: Path, device) -> None:
 
 def figure(args: argparse.Namespace, preset: str, seed: str, path: Path) -> None:
     """Columns are views; rows are the footage, every variant, and the error of the first and the last of them."""
-    root = args.out
     cells = {}
     for variant, kind in {"baseline": "baseline", "opt": "avatar", "opt_dyn": "avatar"}.items():
-        folder = root / f"{preset}_{kind}_{seed}" / "pictures" / variant
+        folder = run_directory(args, preset, kind, seed) / "pictures" / variant
         cells[variant] = [_read(p) for p in sorted(folder.glob("?.png"))]
         targets = [_read(p) for p in sorted(folder.glob("?_target.png"))]
     rows = [targets, *cells.values()]

@@ -20,7 +20,7 @@ from gavatar_runtime.geometry.spacing import evenly_spaced
 from .capture.capture import View
 from .config import compose_config
 from .evaluation.scores import Evaluation, Evaluator, evaluate
-from .export.bundling import export
+from .face import TrainedRun
 from .storage import atomic, write_json
 from .text_table import format_table
 from .training.preview import error_map
@@ -62,7 +62,7 @@ def run_demo(out: Path, overrides: Sequence[str] = (), say: Callable[[str], None
     say("4/5  export to ONNX, verified against PyTorch")
     run = evaluations["+opt+dyn"].run
     bundle = out / "studio_demo.gavatar"
-    manifest = export(run, bundle)
+    manifest = TrainedRun(run).export(bundle).manifest
     say(f"     {bundle}: positions within {1000 * manifest.export_check['position_m']:.5f} mm of PyTorch")
     say("5/5  playback, in a process without torch")
     plays = {motion: _play(bundle, motion, out) for motion in MOTIONS}

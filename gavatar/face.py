@@ -28,7 +28,8 @@ from .capture import opening
 from .capture.capture import Capture
 from .config import TrainConfig, check, register_configs
 from .evaluation.dynamics import weigh_dynamics
-from .evaluation.scores import Evaluation, evaluate
+from .evaluation.result import Evaluation
+from .evaluation.scores import evaluate
 from .export.bundling import export, export_front
 from .overrides import as_overrides, check_overrides
 from .preparation.from_footage import PreparedCapture, prepare
@@ -138,7 +139,7 @@ class TrainedRun:
         splits: default all of the capture. fit_steps: of fitting held-out poses, 0 leaves those rows out. perceptual:
         with the perceptual distance. rasterizer: to draw with, default the run's. Raises UserError for a wrong name.
         """
-        run = self._afresh()
+        run = runs.open_run(self.directory, self.stage, self.config.capture)  # its avatar moves to the device
         if rasterizer is not None:
             run.config.rasterizer = {"name": rasterizer}
         result = evaluate(run, splits, fit_steps, perceptual, progress, device)
@@ -169,20 +170,13 @@ class TrainedRun:
         if path.suffix != ".gavatar":
             raise UserError(f"{path}: a bundle's name ends in .gavatar")
         if poses < 1:
-            raise UserError(
-                f"{poses} poses to verify on: give at least 1, an export that is not verified is not written"
-            )
-        run = self._afresh()
+            raise UserError(f"poses={poses}: give at least 1, an export that is not verified is not written")
         names = [name.strip() for name in tiers.split(",") if name.strip()] if isinstance(tiers, str) else list(tiers)
         if names == ["auto"]:
-            manifest = export_front(run, path, poses, uv=uv, drop_unseen=drop_unseen, progress=progress)
+            manifest = export_front(self.opened, path, poses, uv=uv, drop_unseen=drop_unseen, progress=progress)
         else:
-            manifest = export(run, path, poses, tiers=names, uv=uv, drop_unseen=drop_unseen, progress=progress)
+            manifest = export(self.opened, path, poses, tiers=names, uv=uv, drop_unseen=drop_unseen, progress=progress)
         return ExportedAvatar(path, manifest)
-
-    def _afresh(self) -> runs.Run:
-        """The run opened anew: exporting samples its avatar elsewhere, evaluating may draw with another rasterizer."""
-        return runs.open_run(self.directory, self.stage, self.config.capture)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -23,7 +23,8 @@ from .config import TrainConfig, check, compose_config
 from .registry import BODIES, CAPTURES, DECODERS, ENCODERS, RASTERIZERS
 
 REGISTERED = {registry.group: registry for registry in (BODIES, CAPTURES, DECODERS, ENCODERS, RASTERIZERS)}
-PLAIN = re.compile(r"[A-Za-z_][\w-]*")  # a string that Hydra's grammar takes without quotes
+PLAIN = re.compile(r"[A-Za-z_][A-Za-z_0-9-]*")  # a string that Hydra's grammar takes without quotes
+WORDS = ("null", "true", "false", "nan", "inf")  # that it takes for values of other kinds
 
 
 def as_overrides(settings: Mapping[str, Any]) -> list[str]:
@@ -60,14 +61,20 @@ def literal(value: Any, key: str = "value") -> str:
     if isinstance(value, str | os.PathLike):
         return _text(os.fspath(value))
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_text(str(k))}: {literal(v, f'{key}.{k}')}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{_key(k, key)}: {literal(v, f'{key}.{k}')}" for k, v in value.items()) + "}"
     if isinstance(value, Iterable):
         return "[" + ", ".join(literal(item, key) for item in value) + "]"
     raise UserError(f"{key}: a {type(value).__name__} is no setting; give a number, a string, a list or a dictionary")
 
 
+def _key(name: Any, above: str) -> str:
+    if not isinstance(name, str) or not PLAIN.fullmatch(name) or name.lower() in WORDS:
+        raise UserError(f"{above}: {name!r} is no name of a setting")
+    return name
+
+
 def _text(text: str) -> str:
-    if PLAIN.fullmatch(text) and text.lower() not in ("null", "true", "false", "nan", "inf"):
+    if PLAIN.fullmatch(text) and text.lower() not in WORDS:
         return text
     return QuotedString(text.replace("${", r"\${"), Quote.single).with_quotes()
 

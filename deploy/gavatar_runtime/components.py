@@ -29,6 +29,17 @@ class NoOptions:
     """The options of a component that has none."""
 
 
+def path_option(default: str = "") -> Any:
+    """A field of a dataclass of options that is the path of a file or folder, '' for none: a run keeps it so that it is
+    found from another working directory as well."""
+    return dataclasses.field(default=default, metadata={"path": True})
+
+
+def path_options(config: type) -> list[str]:
+    """The names of the options that `path_option` made."""
+    return [field.name for field in dataclasses.fields(config) if field.metadata.get("path")]
+
+
 @dataclasses.dataclass(frozen=True)
 class NoTraits:
     """The traits of components of which nothing is asked."""

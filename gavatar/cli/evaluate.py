@@ -1,25 +1,31 @@
-"""`gavatar-eval RUN`: image and joint errors per split, as a table, JSON and a figure."""
+"""`gavatar-eval RUN`: image and joint errors per split, as a table, JSON and a figure; `--all DIR` of many runs."""
 
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gavatar_runtime.errors import UserError, exit_cleanly
 
 from ..optional import requires_extra
+
+if TYPE_CHECKING:
+    from ..evaluation.result import Evaluation
 
 DESCRIPTION = "Evaluate a trained run: PSNR, SSIM, perceptual distance and joint errors per split."
 EPILOG = """examples
   gavatar-eval runs/anna
   gavatar-eval runs/anna --splits novel_pose --no-fit
   gavatar-eval runs/anna --stage 1 --out eval_static
+  gavatar-eval --all runs                      every run in a folder, in one table
 
 Images are compared whole, composited on white, at the capture's size. The column `poses` says which poses were
 rendered: `refined` by training, `true` from the capture's ground truth, `estimated` as given in body.npz, `fitted` to
 the very images they are scored on (avatar frozen): never compare fitted rows with rows that are not.
 A run of two stages is told whether its dynamics gain what they cost on the frames held out of training.
-Writes evaluation.json and evaluation.png.
+Writes evaluation.json and evaluation.png; with --all these into each run, and DIR/comparison.csv and .json.
 """
 
 
@@ -27,7 +33,8 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         "gavatar-eval", description=DESCRIPTION, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("run", metavar="RUN", help="run directory that gavatar-train wrote")
+    parser.add_argument("run", metavar="RUN", help="run directory that gavatar-train wrote, or a folder of them")
+    parser.add_argument("--all", action="store_true", help="evaluate every run in the folder, however deep")
     parser.add_argument("--stage", type=int, choices=(1, 2), help="avatar of this stage (default: the last trained)")
     parser.add_argument("--splits", nargs="+", metavar="SPLIT", help="splits to score (default: all of the capture)")
     parser.add_argument("--capture", metavar="DIR", help="where the capture is now, if it has moved")
@@ -39,27 +46,62 @@ def parser() -> argparse.ArgumentParser:
     return parser
 
 
-@exit_cleanly
-@requires_extra("train")
-def main(argv: list[str] | None = None) -> int:
-    """Console entry point."""
-    arguments = parser().parse_args(argv)
-    from ..evaluation.report import evaluation_figure, table
+def evaluate_one(arguments: argparse.Namespace, directory: Path, out: Path) -> Evaluation:
+    """Evaluate a run and write evaluation.json and .png to `out`."""
+    from ..evaluation.evaluation_figure import evaluation_figure
     from ..face import open_run
 
-    if arguments.fit_steps < 1:
-        raise UserError("--fit-steps must be at least 1; leave fitting out with --no-fit")
-    out = Path(arguments.out or arguments.run)
-    result = open_run(arguments.run, arguments.stage, arguments.capture).evaluate(
+    result = open_run(directory, arguments.stage, arguments.capture).evaluate(
         arguments.splits,
         fit_steps=0 if arguments.no_fit else arguments.fit_steps,
         perceptual=not arguments.no_perceptual,
         rasterizer=arguments.rasterizer,
     )
-    print(table(result))
-    if result.dynamics is not None:
-        print(result.dynamics.sentence())
     result.write(out / "evaluation.json")
     evaluation_figure(result, out / "evaluation.png")
+    return result
+
+
+def evaluate_all(arguments: argparse.Namespace, folder: Path) -> int:
+    """Evaluate every run in a folder; those that cannot be are named, and the rest go on. 2 when there are such."""
+    from ..evaluation.comparison import Comparison, runs_in
+
+    out, comparison, failures = Path(arguments.out or folder), Comparison(), []
+    for directory in runs_in(folder):
+        name = directory.relative_to(folder).as_posix()
+        print(f"evaluating {directory}", file=sys.stderr)
+        try:
+            place = out / name if arguments.out else directory
+            comparison.add(name, evaluate_one(arguments, directory, place))
+        except UserError as error:
+            failures.append(f"{directory}: {error}")
+    if comparison.rows:
+        comparison.write_csv(out / "comparison.csv")
+        comparison.write_json(out / "comparison.json")
+        print(comparison)
+        print(f"\nwrote {out / 'comparison.csv'} and {out / 'comparison.json'}")
+    for sentence in failures:
+        print(f"error: {sentence}", file=sys.stderr)
+    return 2 if failures else 0
+
+
+@exit_cleanly
+@requires_extra("train")
+def main(argv: list[str] | None = None) -> int:
+    """Console entry point."""
+    arguments = parser().parse_args(argv)
+    if arguments.fit_steps < 1:
+        raise UserError("--fit-steps must be at least 1; leave fitting out with --no-fit")
+    if arguments.all:
+        if arguments.capture is not None:
+            raise UserError("--capture is of one run: leave it out with --all")
+        return evaluate_all(arguments, Path(arguments.run))
+    out = Path(arguments.out or arguments.run)
+    result = evaluate_one(arguments, Path(arguments.run), out)
+    print(result)
     print(f"\nwrote {out / 'evaluation.json'} and {out / 'evaluation.png'}")
     return 0
+
+
+if __name__ == "__main__":
+    main()

@@ -89,10 +89,17 @@ def _run_jobs(arguments: list[str], names: dict[str, str], folder: Path, expecte
 
 def _hydra(arguments: list[str], task: Callable[..., object]) -> None:
     import hydra
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    from ..overrides import one_sentence
 
     sys.argv = ["gavatar-train", *arguments]
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # a traceback here is a bug: show the whole of it
-    hydra.main(version_base="1.3", config_path="pkg://gavatar.conf", config_name="train")(task)()
+    try:
+        hydra.main(version_base="1.3", config_path="pkg://gavatar.conf", config_name="train")(task)()
+    except (HydraException, OmegaConfBaseException) as error:  # of its own settings: those of training were checked
+        raise UserError(one_sentence(error)) from None
 
 
 @contextlib.contextmanager

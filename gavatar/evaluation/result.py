@@ -11,6 +11,7 @@ import numpy as np
 from ..capture.capture import View
 from ..images.image_quality import mean_psnr
 from ..storage import write_json
+from ..text_table import format_table
 from ..training.run import Run
 from .joint_errors import PartErrors
 
@@ -104,7 +105,7 @@ class DynamicsWorth:
         return text if self.worth else f"{text}; gavatar-export --stage 1 leaves them out"
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(repr=False)
 class Evaluation:
     """Everything `gavatar-eval` measured. pictures: (target, render) of each row's worst view, in row order.
     estimated_mpjpe_mm: error of the training frames' poses before training, and its PA form; estimated_parts: of hands
@@ -117,6 +118,14 @@ class Evaluation:
     estimated_mpjpe_mm: tuple[float, float] | None = None
     estimated_parts: PartErrors = dataclasses.field(default_factory=PartErrors)
     dynamics: DynamicsWorth | None = None
+
+    def __repr__(self) -> str:
+        return f"<Evaluation of {self.run.directory}, stage {self.run.stage}: {len(self.rows)} rows>"
+
+    def __str__(self) -> str:
+        """The table, with what a reader must know to use its numbers, and the verdict on dynamics."""
+        notes = [*_notes(self), *([] if self.dynamics is None else [self.dynamics.sentence()])]
+        return _table(self) + "\n\n" + "\n".join(notes)
 
     def row(self, split: str, poses: str) -> SplitScore:
         """The row of a split and a source of poses; KeyError if it was not measured."""
@@ -144,3 +153,53 @@ class Evaluation:
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write `as_json` to `path`."""
         write_json(path, self.as_json())
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _table(result: Evaluation) -> str:
+    header = ["split", "poses", "views", "PSNR", "SSIM", "perceptual", "worst PSNR", "worst view", "MPJPE", "PA-MPJPE"]
+    rows = [
+        [
+            row.split,
+            row.poses,
+            str(len(row.scores)),
+            _number(row.psnr, 2),
+            _number(row.ssim, 4),
+            _number(row.perceptual, 4),
+            _number(row.worst.psnr, 2),
+            str(row.worst.view),
+            _number(row.mpjpe_mm, 1),
+            _number(row.pa_mpjpe_mm, 1),
+        ]
+        for row in result.rows
+    ]
+    for name, title in (("mpjpe_hands_mm", "hands"), ("jaw_deg", "jaw")):
+        values = [getattr(row.parts, name) for row in result.rows]
+        if any(value is not None for value in values):
+            header.append(title)
+            rows = [[*row, _number(value, 1)] for row, value in zip(rows, values, strict=True)]
+    return format_table(header, rows)
+
+
+def _notes(result: Evaluation) -> list[str]:
+    notes = [
+        f"stage {result.run.stage} avatar, {len(result.run.avatar.surface)} Gaussians; whole frames on white; PSNR in "
+        "dB, joints in mm (22 body joints, root-aligned)",
+    ]
+    if result.perceptual_name:
+        notes.append(f"perceptual: {result.perceptual_name} (not LPIPS)")
+    if result.estimated_mpjpe_mm is not None:
+        before = result.estimated_mpjpe_mm
+        notes.append(f"training frames before training: MPJPE {before[0]:.1f} mm, PA-MPJPE {before[1]:.1f} mm")
+    if any(row.parts != PartErrors() for row in result.rows):
+        hands, jaw = result.estimated_parts.mpjpe_hands_mm, result.estimated_parts.jaw_deg
+        notes.append(
+            "hands: finger joints from their wrist, mm; jaw: degrees; training frames before training: "
+            f"{_number(hands, 1)} mm, {_number(jaw, 1)} degrees"
+        )
+    if any(row.poses == "fitted" for row in result.rows):
+        notes.append("fitted: poses were fitted to the very images that are scored; not comparable with other rows")
+    return notes

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.values.motion import Motion
@@ -13,15 +14,15 @@ from gavatar_runtime.values.motion import Motion
 from ..assemble import AvatarBuild, build_avatar, capture_on_body, resolve_body
 from ..avatar.trainable import Avatar
 from ..capture.capture import Capture, View
+from ..capture.fingerprint import fingerprint
 from ..capture.opening import open_capture
 from ..config import TrainConfig, check
 from ..registry import RASTERIZERS, split_node
-from ..storage import atomic, load_tensors
+from ..storage import load_tensors
 from .motion_table import MotionTable
+from .places import CONFIG, WrittenRun, absolute, from_here
 from .stage import REFUSED, STAGE_FILES
 from .trainer import Trainer, resolved
-
-CONFIG = "config.yaml"
 
 
 def train(composed: DictConfig, directory: Path) -> Trainer:
@@ -30,44 +31,53 @@ def train(composed: DictConfig, directory: Path) -> Trainer:
     Raises UserError before any work when the configuration is wrong, or when the directory holds a run of another
     configuration and overwrite is off.
     """
-    config = check(composed)
+    config, directory = absolute(check(composed)), Path(directory)
+    opened = open_capture(config.capture, config.capture_format)
     # what `auto` finds today is written down: another day it may find other files
-    config.body = resolve_body(config.body, open_capture(config.capture, config.capture_format))
-    directory = Path(directory)
-    path = directory / CONFIG
-    if path.exists() and not config.overwrite:
-        former = resolved(read_config(path))
-        changed = [key for key, value in resolved(config).items() if former.get(key) != value]
-        if changed:
-            raise UserError(
-                f"{directory} holds a run with another {', '.join(changed)}: choose another out=DIR, "
-                "or overwrite=true to start afresh"
-            )
+    config.body = resolve_body(config.body, opened)
+    content = fingerprint(opened, config.train_split)
+    if (directory / CONFIG).exists() and not config.overwrite:
+        refuse_another(WrittenRun.read(directory), config, content)
     trainer = Trainer(config, directory)  # everything that can be wrong is found before the old run is touched
     if config.overwrite:
         for name in ("checkpoint.pt", "metrics.json", "motion.npz", REFUSED, *STAGE_FILES.values()):
             (directory / name).unlink(missing_ok=True)
     directory.mkdir(parents=True, exist_ok=True)
-    plain = dataclasses.asdict(config) | {"overwrite": False}
-    plain["capture"] = str(Path(config.capture).resolve())
-    with atomic(path) as temporary:
-        OmegaConf.save(OmegaConf.create(plain), temporary)
+    WrittenRun(directory, config, from_here(config, directory), content).write()
     trainer.run()
     return trainer
 
 
-def read_config(path: Path) -> TrainConfig:
-    """The configuration that a run has written down; UserError naming the file unless this version can read it."""
-    try:
-        return check(OmegaConf.load(path))
-    except UserError as error:
-        raise UserError(f"{path}: {error}") from None
-    except Exception as error:  # whatever YAML, OmegaConf or our dataclasses make of a file of another kind
-        cause = (str(error).strip().splitlines() or [""])[0]
+def refuse_another(written: WrittenRun, config: TrainConfig, content: str) -> None:
+    """UserError naming what differs unless a run directory holds a run of this configuration and of this capture."""
+    changed = differences(resolved(written.recognised(config, content)), resolved(config))
+    if changed:
         raise UserError(
-            f"{path} is not the configuration of a run of this version ({type(error).__name__}: {cause}): train with "
-            "another out=DIR"
-        ) from None
+            f"{written.directory} holds a run with another {', '.join(changed)}: choose another out=DIR, or "
+            "overwrite=true to start afresh"
+        )
+    if written.content and written.content != content:
+        raise UserError(
+            f"{config.capture} does not hold what {written.directory} was trained on, images, masks, cameras or poses "
+            "have changed: choose another out=DIR, or overwrite=true to start afresh"
+        )
+
+
+def differences(former: dict[str, Any], now: dict[str, Any], above: str = "") -> list[str]:
+    """The settings that differ, by their whole names, with what they were and are where that is one value. Of another
+    component only its name is told."""
+    names = former.get("name"), now.get("name")
+    if names[0] != names[1]:
+        return [f"{above.removesuffix('.')} ({names[0]}, now {names[1]})"]
+    found = []
+    for key in now | former:
+        one, other = former.get(key), now.get(key)
+        if isinstance(one, dict) and isinstance(other, dict):
+            found += differences(one, other, f"{above}{key}.")
+        elif one != other:
+            plain = not isinstance(one, dict | list) and not isinstance(other, dict | list)
+            found.append(f"{above}{key}" + (f" ({one}, now {other})" if plain else ""))
+    return found
 
 
 @dataclasses.dataclass
@@ -98,7 +108,7 @@ def open_run(directory: str | Path, stage: int | None = None, capture: str | Pat
     directory = Path(directory)
     if not (directory / CONFIG).exists():
         raise UserError(f"{directory} is not a run directory: it has no {CONFIG} (gavatar-train writes one)")
-    config = read_config(directory / CONFIG)
+    config = WrittenRun.read(directory).found()
     if capture is not None:
         config.capture = str(capture)
     finished = [n for n, name in STAGE_FILES.items() if (directory / name).exists()]

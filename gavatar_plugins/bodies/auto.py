@@ -8,6 +8,7 @@ from typing import Any
 
 from gavatar.body.official_files import FAMILIES, find_model
 from gavatar.registry import BODIES, BodyTraits
+from gavatar_runtime.components import path_option
 from gavatar_runtime.errors import UserError, did_you_mean
 
 # Captures made on the free body before it had a name of its own call it by its skeleton, which is SMPL-H's.
@@ -19,7 +20,7 @@ class AutoBodyConfig:
     """path: where the official files are, before $GAVATAR_BODY_MODELS. gender: neutral, male or
     female, '' for what the capture says. hands: as of smplx."""
 
-    path: str = ""
+    path: str = path_option()
     gender: str = ""
     hands: str = "flat"
 

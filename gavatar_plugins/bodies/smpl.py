@@ -6,6 +6,7 @@ import dataclasses
 
 from gavatar.body.official_files import official_body
 from gavatar.registry import BODIES
+from gavatar_runtime.components import path_option
 
 
 @dataclasses.dataclass
@@ -13,10 +14,10 @@ class SmplConfig:
     """path: model file, or folder that is searched for it before those of $GAVATAR_BODY_MODELS. gender: neutral, male
     or female. num_betas: shape coefficients, 0 for all. uv: .obj or .npz of the UV atlas, '' to look for it."""
 
-    path: str = ""
+    path: str = path_option()
     gender: str = "neutral"
     num_betas: int = 0
-    uv: str = ""
+    uv: str = path_option()
 
 
 @BODIES.register(

@@ -6,6 +6,7 @@ import dataclasses
 
 from gavatar.body.official_files import official_body
 from gavatar.registry import BODIES
+from gavatar_runtime.components import path_option
 
 
 @dataclasses.dataclass
@@ -14,10 +15,10 @@ class SmplxConfig:
     or female. num_betas: shape coefficients, 0 for all. uv: .obj or .npz of the UV atlas, '' to look for it. hands:
     `flat` or `mean`, the pose of hands that no motion moves. num_expression: expression coefficients, -1 for all."""
 
-    path: str = ""
+    path: str = path_option()
     gender: str = "neutral"
     num_betas: int = 0
-    uv: str = ""
+    uv: str = path_option()
     hands: str = "flat"
     num_expression: int = 10
 

@@ -10,6 +10,7 @@ from gavatar.images.lpips import Lpips as LpipsNetwork
 from gavatar.images.perceptual import cheaper_pair
 from gavatar.losses import LossConfig, LossInputs, check_size, step_seed
 from gavatar.registry import LOSSES, LossTraits
+from gavatar_runtime.components import path_option
 
 
 @dataclasses.dataclass
@@ -24,8 +25,8 @@ class LpipsConfig(LossConfig):
 
     weight: float = 0.2
     net: str = "alex"
-    backbone: str = ""
-    linear: str = ""
+    backbone: str = path_option()
+    linear: str = path_option()
     crop: int = 0
     max_size: int = 0
 

@@ -58,6 +58,14 @@ def test_overrides_reach_every_run(ablation):
     assert configuration(ablation, "default", "baseline", "decoder.scale_limit=2").decoder["scale_limit"] == 2
 
 
+def test_runs_of_two_captures_share_a_folder_without_meeting(ablation):
+    places = {
+        ablation.run_directory(ablation.arguments([capture]), "demo", "avatar", "0")
+        for capture in ("captures/anna", "captures/bob")
+    }
+    assert len(places) == 2
+
+
 def test_a_run_of_the_same_settings_is_not_made_again(ablation, tmp_path, monkeypatch):
     def arguments(*extra):
         return ablation.arguments(["capture", "--out", str(tmp_path), "--steps", "110/40", *extra])
@@ -66,7 +74,7 @@ def test_a_run_of_the_same_settings_is_not_made_again(ablation, tmp_path, monkey
     assert ablation.finished_rows(arguments(), *job) is None
     known = {"settings": ablation.settings(arguments(), *job), "rows": [{"psnr": 30.0}]}
     folder = ablation.run_directory(arguments(), *job)
-    folder.mkdir()
+    folder.mkdir(parents=True)
     (folder / "rows.json").write_text(json.dumps(known))
     assert ablation.finished_rows(arguments(), *job) == known["rows"]
     monkeypatch.setattr(ablation.subprocess, "run", lambda *a, **k: pytest.fail("made again"))

@@ -13,7 +13,7 @@ from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.config import compose_config
 from gavatar.evaluation.dynamics import weigh_dynamics
-from gavatar.evaluation.report import evaluation_figure, table
+from gavatar.evaluation.evaluation_figure import evaluation_figure
 from gavatar.evaluation.result import DynamicsWorth
 from gavatar.evaluation.scores import Evaluator, evaluate
 from gavatar.training.run import open_run, train
@@ -56,7 +56,7 @@ def test_true_poses_have_no_joint_error_and_others_have(result):
 
 
 def test_the_table_and_the_files_state_the_protocol(result, tmp_path):
-    text = table(result)
+    text = str(result)
     assert "not LPIPS" in text
     assert "fitted: poses were fitted" in text
     result.write(tmp_path / "e.json")
