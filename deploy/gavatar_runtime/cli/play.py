@@ -46,8 +46,9 @@ def main(argv: list[str] | None = None) -> int:
         print(
             f"note: rasterizer numpy, many times slower than native: {native_library.available()[1]}", file=sys.stderr
         )
-    if note and not arguments.quiet:
-        print(f"note: {note}", file=sys.stderr)
+    for told in (*motion.notes, *([note] if note else [])):
+        if not arguments.quiet:
+            print(f"note: {told}", file=sys.stderr)
     if ignored and not arguments.quiet:
         print(f"note: the body has no {_listed(ignored)}; the motion's are ignored", file=sys.stderr)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import UserError, frames_named
 from ..formats.pickled_values import Unread
-from .rotation_kinds import NUMBERS, axis_angle
+from .rotation_kinds import NUMBERS, axis_angle, told_kind
 
 
 class FieldReader:
@@ -62,11 +62,11 @@ class FieldReader:
         array, count = self.finite(key, array), int(np.prod(array.shape[1:]))
         if len(array) == 0:
             return np.zeros((0, width or count), np.float32), "axis-angle"
-        if width is not None and count not in {width // 3 * n for n in NUMBERS.values()}:
-            raise UserError(f"{self.path}: {key} holds {count} numbers a frame, expected {width}")
-        values, kind = axis_angle(f"{self.path}: {key}", array, self.kind)
-        if width is not None and values.shape[1] != width:
-            raise UserError(f"{self.path}: {key} holds {values.shape[1]} numbers a frame, expected {width}")
+        name = f"{self.path}: {key}"
+        kind = told_kind(name, array) if self.kind == "auto" else self.kind
+        if width is not None and count * 3 != width * NUMBERS[kind]:
+            raise UserError(f"{name} holds {count} numbers a frame, expected {width // 3 * NUMBERS[kind]}")
+        values, kind = axis_angle(name, array, kind)
         return np.asarray(values, np.float32), kind
 
 

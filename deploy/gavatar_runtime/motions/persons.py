@@ -29,14 +29,14 @@ def choose_person(path: Path, people: list[Person], wanted: str) -> tuple[Person
             raise UserError(f"{path} has no person '{wanted}': {did_you_mean(wanted, labels)}")
         return chosen, []
     longest = max(people, key=len)
-    others = [f"{person.label} ({len(person)})" for person in people if person is not longest]
+    others = [person for person in people if person is not longest]
     if not others:
         return longest, []
-    named = ", ".join(others[:10]) + (f" and {len(others) - 10} more" if len(others) > 10 else "")
+    named = ", ".join(f"{person.label} ({len(person)} frames)" for person in others[:10])
+    named += f" and {len(others) - 10} more" if len(others) > 10 else ""
     return longest, [
-        f"{len(people)} persons: {longest.label} is taken, with most frames ({len(longest)}); "
-        f"--set motion.person={people[0].label if people[0] is not longest else people[1].label} takes another of "
-        f"{named}"
+        f"{len(people)} persons: {longest.label} is taken, with most frames ({len(longest)}); --set "
+        f"motion.person={others[0].label} takes another of {named}"
     ]
 
 

@@ -39,8 +39,8 @@ def positions_refused(path: Path, key: str, joints: int) -> UserError:
 def poses_missing(path: Path, names: Iterable[Any]) -> UserError:
     """The error for fields among which there are no poses."""
     return UserError(
-        f"{path}: key 'poses' is missing; a motion holds poses (T, 3J), trans (T, 3) and mocap_framerate, or root_orient "
-        f"and pose_body; this file holds {', '.join(sorted(map(str, names))[:40]) or 'nothing'}"
+        f"{path}: key 'poses' is missing; a motion holds poses (T, 3J), trans (T, 3) and mocap_framerate, or "
+        f"root_orient and pose_body; this file holds {', '.join(sorted(map(str, names))[:40]) or 'nothing'}"
     )
 
 

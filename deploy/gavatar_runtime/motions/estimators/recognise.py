@@ -48,9 +48,24 @@ def _found(content: Any, path: Path, rotations: str, depth: int) -> Found | None
     if array is not None and array.dtype.kind in "fiu":
         return _of_array(array, path, rotations)
     if isinstance(content, dict):
-        content = {key if isinstance(key, (str, int)) else str(key): value for key, value in content.items()}
+        content = {key if isinstance(key, (str, int)) else str(key): _opened(v) for key, v in content.items()}
         return _of_dictionary(content, path, rotations, depth)
-    return collection(list(enumerate(content))) if isinstance(content, (list, tuple)) else None
+    return _of_list(list(content), path) if isinstance(content, (list, tuple)) else None
+
+
+def _opened(value: Any) -> Any:
+    """What an array of one object holds, as NumPy wraps a dictionary."""
+    return value.item() if isinstance(value, np.ndarray) and value.dtype == object and value.ndim == 0 else value
+
+
+def _of_list(content: list, path: Path) -> Found | None:
+    dictionaries = [entry for entry in content if isinstance(entry, dict)]
+    for entry in dictionaries[:1]:
+        refuse_codes(path, entry)
+    found = collection(list(enumerate(content)))
+    for entry in dictionaries[:1] if found is None else []:
+        refuse_others(path, entry)
+    return found
 
 
 def _of_dictionary(content: dict, path: Path, rotations: str, depth: int) -> Found | None:
