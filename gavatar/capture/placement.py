@@ -13,13 +13,10 @@ import dataclasses
 import numpy as np
 
 from gavatar_runtime.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
-from gavatar_runtime.motions.fields import Y_UP_FROM, vertical_axis
+from gavatar_runtime.motions.upright import MEAN_PELVIS, Y_UP_FROM, vertical_axis
 from gavatar_runtime.values.body import BodyData
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.motion import Motion
-
-# (3,) metres: the rest pelvis of the mean body of a family, to two digits. It only serves bodies of other families.
-MEAN_PELVIS = {"smpl": (0.0, -0.23, 0.03), "smplh": (0.0, -0.23, 0.03), "smplx": (0.0, -0.35, 0.01)}
 
 # Bodies whose betas and rest pelvis mean what a family's do: SMPL-H is SMPL with hands
 SAME_SHAPES = {"smpl": ("smpl", "smplh"), "smplh": ("smplh", "smpl"), "smplx": ("smplx",)}

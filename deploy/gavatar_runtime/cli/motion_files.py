@@ -20,8 +20,10 @@ EPILOG = """examples
   gavatar-motion convert rig.bvh -o rig.npz --set mapping=rig.json
   gavatar-motion convert walk.npz -o walk_smpl.npz --joints smpl
   gavatar-motion convert walk.bvh -o walk.npz --rest first-frame --on anna.gavatar --ground
+  gavatar-motion convert wham_output.pkl -o second.npz --set person=4 --set fps=25
 
-Formats: .npz (AMASS, SMPL, SMPL-H, SMPL-X), .pkl (AIST++), .pth (GaussianAvatar), .bvh; built-in names work too.
+Formats: .bvh; .npz, .npy, .pkl, .joblib, .pt, .pth and .json of AMASS, SMPL, SMPL-H, SMPL-X, AIST++, Motion-X, 3DPW and
+of pose estimators; a folder of one file a frame; built-in names. docs/reference/motions.md has the table.
 """
 SKELETONS = ("same", "body", "smpl", "smplh", "smplx")
 
@@ -36,9 +38,10 @@ def parser() -> argparse.ArgumentParser:
     for command in (info, convert):
         command.add_argument("motion", metavar="NAME|FILE")
         command.add_argument("--set", action="append", default=[], metavar="KEY=VALUE",
-                             help="an option of the format: up=z, fps=60, units=cm, mapping=FILE")  # fmt: skip
-        command.add_argument("--rest", choices=("offsets", "first-frame"),
-                             help="of BVH: the pose that counts as standing at rest (default: offsets)")  # fmt: skip
+                             help="an option of the format: up=z, fps=60, person=4, units=cm, mapping=FILE; as "
+                             "motion.KEY=VALUE too")  # fmt: skip
+        command.add_argument("--rest", choices=("auto", "offsets", "first-frame", "anatomy"),
+                             help="of BVH: the pose that counts as standing at rest (default: auto)")  # fmt: skip
     info.add_argument("--json", action="store_true", help="print JSON")
     convert.add_argument("-o", "--out", metavar="FILE.npz", type=Path, required=True)
     convert.add_argument("--fps", type=float, help="resample to so many frames per second (slerp)")
@@ -53,17 +56,20 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
-    from ..motions import read_motion
+    from ..motions.source import motion_source
     from .settings import parse_settings
 
-    options = parse_settings([f"motion.{setting}" for setting in arguments.set])["motion"]
+    options = parse_settings([f"motion.{setting.removeprefix('motion.')}" for setting in arguments.set])["motion"]
     if arguments.rest:
         options["rest"] = arguments.rest
-    motion = read_motion(arguments.motion, **options)
+    source = motion_source(arguments.motion, **options)
+    motion = source.load()
     if arguments.command == "info":
-        values = describe(motion)
+        values = {**describe(motion), "read_as": getattr(source, "facts", {}), "notes": list(motion.notes)}
         print(json.dumps(values, indent=1) if arguments.json else _table(values))
         return 0
+    for note in motion.notes:
+        print(f"note: {note}")
     return _convert(arguments, motion)
 
 
@@ -116,6 +122,8 @@ def _table(values: dict[str, Any]) -> str:
             *([f"  hands      {values['hands']}"] if values["hands"] else []),
             f"  walk       {values['walk_metres']:g} m over the floor; root between {low:g} and {high:g} m high",
             f"  upright    {values['upright']:.2f} on average (1 stands, 0 lies, -1 is upside down)",
+            *(f"  {name:<10} {what}" for name, what in values["read_as"].items()),
+            *(f"note: {note}" for note in values["notes"]),
         ]
     )
 

@@ -19,8 +19,8 @@ EPILOG = """examples
   gavatar-play anna.gavatar --min-psnr 38                      by the fastest that is so close to the full model
   gavatar-play anna.gavatar --motion capture/body.npz --camera capture/cameras.json:cam0
 
-Motion files: .npz (AMASS, SMPL, SMPL-H, SMPL-X), .bvh, .pkl (AIST++), .pth (GaussianAvatar); see gavatar-motion. They
-are turned y-up; --set motion.up=z, y or -y says which way was up where that is told wrongly.
+Motion files: .bvh, and .npz, .npy, .pkl, .pth and .json of AMASS, the SMPL family and pose estimators; see
+gavatar-motion. They are turned y-up; --set motion.up=z, y or -y says which way was up where that is told wrongly.
 """
 
 
@@ -38,8 +38,8 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--output", metavar="NAME", help="kind of output, where the suffix of PATH alone does not tell")
     p.add_argument("--ground", action="store_true", help="let the avatar stand on the floor, y = 0")
-    p.add_argument("--rest", choices=("offsets", "first-frame"),
-                   help="of BVH: the pose that counts as standing at rest (default: offsets)")  # fmt: skip
+    p.add_argument("--rest", choices=("auto", "offsets", "first-frame", "anatomy"),
+                   help="of BVH: the pose that counts as standing at rest (default: auto)")  # fmt: skip
     _add_time(p.add_argument_group("time"))
     _add_view(p.add_argument_group("view"))
     _add_work(p.add_argument_group("work"))

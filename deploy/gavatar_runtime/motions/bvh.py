@@ -6,14 +6,14 @@ import dataclasses
 from pathlib import Path
 
 from ..errors import UserError
-from ..formats.bvh_file import read_bvh
+from ..formats.bvh_file import Bvh, read_bvh
 from ..values.motion import Motion
-from .retarget import retarget
-from .rig_names import match_rig, read_mapping
+from .plausible import UNITS, asked_rate, stated_rate
+from .rest_pose import RESTS, with_rest_pose
+from .retarget import missing_limbs, retarget
+from .rig_names import match_rig, pelvis_of, read_mapping
 from .source import MOTIONS
 
-UNITS = {"auto": 0.0, "m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "ft": 0.3048}
-RESTS = ("offsets", "first-frame")
 AXES = ("auto", "x", "y", "z", "-x", "-y", "-z")
 
 
@@ -21,11 +21,11 @@ AXES = ("auto", "x", "y", "z", "-x", "-y", "-z")
 class BvhOptions:
     """up: the file's vertical axis; auto takes the one that the trunk points along on average. units: auto, m, cm, mm,
     inch or ft; auto scales the walk by the legs of the body that plays it. mapping: a JSON file {SMPL joint: joint of
-    the rig} for rigs whose names are not known. fps: overrides the file's, 0 keeps it. rest: the person
-    stands at rest in the pose that the `offsets` draw, or in the `first-frame`, for files whose OFFSETs draw none."""
+    the rig} for rigs whose names are not known. fps: overrides the file's, 0 keeps it. rest: the person stands at rest
+    in the pose that the `offsets` draw, in the `first-frame`, or in a T-pose that `anatomy` tells; `auto` chooses."""
 
     up: str = "auto"
-    rest: str = "offsets"
+    rest: str = "auto"
     units: str = "auto"
     mapping: str = ""
     fps: float = 0.0
@@ -33,31 +33,38 @@ class BvhOptions:
 
 @MOTIONS.register("bvh", config=BvhOptions, summary="BVH, retargeted by joint names (CMU, Mixamo and other rigs)")
 class BvhFile:
-    """A file of one person, 52 SMPL-H joints when read."""
+    """A file of one person, 52 SMPL-H joints when read. facts: which rest pose was taken and why, once it is read."""
 
     suffixes = (".bvh",)
 
     def __init__(self, config: BvhOptions, *, path: Path):
-        if config.up not in AXES:
-            raise UserError(f"motion option up={config.up}: choose from {', '.join(AXES)}")
-        if config.rest not in RESTS:
-            raise UserError(f"motion option rest={config.rest}: choose from {', '.join(RESTS)}")
-        if config.units not in UNITS:
-            raise UserError(f"motion option units={config.units}: choose from {', '.join(UNITS)}")
-        if not isinstance(config.fps, (int, float)) or not 0 <= config.fps < 1e6:
-            raise UserError(f"motion option fps={config.fps}: give a number of frames per second, 0 for the file's own")
+        for name, known in (("up", AXES), ("rest", RESTS), ("units", UNITS)):
+            if getattr(config, name) not in known:
+                raise UserError(f"motion option {name}={getattr(config, name)}: choose from {', '.join(known)}")
         self.config, self.path = config, path
+        self.rate = asked_rate(config.fps)
+        self.facts: dict[str, str] = {}
 
     def load(self) -> Motion:
         """The motion, y-up; UserError naming the file and what is wrong."""
         bvh = read_bvh(self.path)
-        if self.config.rest == "first-frame":
-            bvh = bvh.rested()
-        mapping = match_rig(bvh.names, bvh.parents)
-        if self.config.mapping:
-            mapping |= read_mapping(self.config.mapping, bvh.names)
-            mapping = {joint: j for joint, j in mapping.items() if j >= 0}
+        rate = self.rate or stated_rate(self.path, "Frame Time", bvh.fps, len(bvh.root))
+        mapping = self._mapping(bvh)
+        missing_limbs(bvh, mapping, str(self.path))
+        bvh, rest, why = with_rest_pose(bvh, mapping, self.config.rest, self.config.up, str(self.path))
+        self.facts = {"rest pose": f"{rest}: {why}"}
         scale = UNITS[self.config.units]
         motion = retarget(bvh, mapping, up=self.config.up, scale=scale, name=self.path.stem, source=str(self.path))
-        motion = dataclasses.replace(motion, fps=float(self.config.fps) or motion.fps)
-        return motion if scale == 0 else dataclasses.replace(motion, leg_length=None)
+        notes = bvh.notes
+        if self.config.rest == "auto" and rest != "offsets":
+            notes += (f"rest pose {rest}: {why}; --rest says another",)
+        kept = {} if scale == 0 else {"leg_length": None}
+        return dataclasses.replace(motion, fps=rate, notes=notes, **kept)
+
+    def _mapping(self, bvh: Bvh) -> dict[str, int]:
+        mapping = match_rig(bvh.names, bvh.parents)
+        if not self.config.mapping:
+            return mapping
+        given = read_mapping(self.config.mapping, bvh.names)
+        mapping = {joint: j for joint, j in (mapping | given).items() if j >= 0}
+        return mapping if given.get("pelvis", -1) >= 0 else mapping | {"pelvis": pelvis_of(mapping, bvh.parents)}

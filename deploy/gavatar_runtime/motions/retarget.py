@@ -26,6 +26,7 @@ from ..geometry.rotations import (
 )
 from ..values.motion import Motion
 from ..values.skeletons import SMPLH
+from .seen_rig import vertical_of
 
 # Unit directions from a joint of the resting body to the next, left side; the right mirrors x
 RESTING_LIMBS = {
@@ -46,35 +47,39 @@ PARENTS = {
 NEEDED = tuple(f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle", "shoulder", "elbow"))
 
 
+def missing_limbs(bvh: Bvh, mapping: dict[str, int], source: str) -> None:
+    """UserError when the rig's limbs cannot be told from its names."""
+    missing = [joint for joint in NEEDED if joint not in mapping]
+    if missing:
+        raise UserError(
+            f"{source}: no joint of the rig is known as {', '.join(missing)} (it has {', '.join(bvh.names[:40])}); "
+            "write a mapping file {SMPL joint: joint of the rig} and give it by --set motion.mapping=FILE"
+        )
+
+
 def retarget(bvh: Bvh, mapping: dict[str, int], *, up: str, scale: float, name: str, source: str) -> Motion:
     """The rig's motion as poses (T, 52, 3) and trans (T, 3) of the SMPL-H skeleton, y-up.
 
     mapping: rig index by SMPL-H name (`rig_names`); spine joints it lacks are taken from the chain to the shoulders.
     up: the rig world's vertical axis, x, y, z with or without a minus, or auto. scale: metres of the rig's unit, 0 for
     `leg_length`: the motion then carries the rig's leg in units that make it `Motion.leg_length` long, and a body's own
-    leg takes its place when it is fitted. source: named in messages.
-    Raises UserError when the rig's limbs cannot be told from its names.
+    leg takes its place when it is fitted. source: named in messages. The OFFSETs must draw a person who stands.
     """
-    missing = [joint for joint in NEEDED if joint not in mapping]
-    if missing:
-        raise UserError(
-            f"{source}: no joint of the rig is known as {', '.join(missing)} (it has {', '.join(bvh.names[:40])}); "
-            "give a mapping file {SMPL joint: joint of the rig} by the option mapping"
-        )
     rest = bvh.places()[0]
     B = _stance(rest, mapping, source)
     world = bvh.world_rotations()
+    track = bvh.track(mapping["pelvis"], world)
     W = _upright(bvh, world, mapping, B, up)
     turned = _limbs(bvh, mapping, rest, B)
     R = {joint: W @ world[:, j] @ turned.get(joint, B) for joint, j in mapping.items()}
     _add_spine(R, bvh, mapping, W, world, B)
-    poses = _local(R, len(bvh.root))
+    poses = _local(R, len(track))
 
     leg = _leg(rest, mapping)
     if not leg > 0:
         raise UserError(f"{source}: the rig's legs have no length: its OFFSETs are zero")
     factor = scale or STANDARD_LEG / leg
-    trans = (bvh.root * factor) @ W.T
+    trans = (track * factor) @ W.T
     return Motion(
         axis_angle_from_matrix(poses).astype(np.float32), trans.astype(np.float32), bvh.fps, name=name,
         leg_length=leg * factor,
@@ -127,16 +132,9 @@ def _snapped(matrix: np.ndarray) -> np.ndarray:
 def _upright(bvh: Bvh, world: np.ndarray, mapping: dict[str, int], B: np.ndarray, up: str) -> np.ndarray:
     """(3, 3) from the rig's world to the y-up one: the axis that its trunk points along on average becomes y, and a
     person at rest faces +z where that axis is the rest pose's own."""
-    if up == "auto":
-        places = bvh.places(world)
-        middle = {
-            p: (places[:, mapping[f"left_{p}"]] + places[:, mapping[f"right_{p}"]]) / 2 for p in ("hip", "shoulder")
-        }
-        trunk = (middle["shoulder"] - middle["hip"]).mean(0)
-        axis = np.zeros(3)
-        axis[np.argmax(np.abs(trunk))] = np.sign(trunk[np.argmax(np.abs(trunk))])
-    else:
-        axis = np.eye(3)["xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)
+    places = bvh.places(world)
+    middle = {p: (places[:, mapping[f"left_{p}"]] + places[:, mapping[f"right_{p}"]]) / 2 for p in ("hip", "shoulder")}
+    axis = vertical_of(middle["shoulder"] - middle["hip"], up)
     W = _snapped(B).T
     return W if W[1] @ axis > 0.5 else _snapped(rotation_between(W @ axis, np.array([0.0, 1, 0]))) @ W
 
@@ -160,17 +158,10 @@ def _limbs(bvh: Bvh, mapping: dict[str, int], rest: np.ndarray, B: np.ndarray) -
 
 
 def _spine_chain(bvh: Bvh, mapping: dict[str, int]) -> list[int]:
-    """Rig joints between the root and both shoulders, from the bottom up, the root left out."""
-
-    def ancestors(j: int) -> list[int]:
-        line = []
-        while j >= 0:
-            line.append(j)
-            j = int(bvh.parents[j])
-        return line[::-1]
-
-    lines = [ancestors(mapping[f"{side}_shoulder"])[:-1] for side in ("left", "right")]
-    return [a for a, b in zip(*lines, strict=False) if a == b and a != mapping["pelvis"]]
+    """Rig joints between the pelvis and both shoulders, from the bottom up, the pelvis left out."""
+    lines = [bvh.line(mapping[f"{side}_shoulder"])[:-1] for side in ("left", "right")]
+    below = bvh.line(mapping["pelvis"])
+    return [a for a, b in zip(*lines, strict=False) if a == b and a not in below]
 
 
 def _add_spine(R: dict, bvh: Bvh, mapping: dict[str, int], W: np.ndarray, world: np.ndarray, B: np.ndarray) -> None:

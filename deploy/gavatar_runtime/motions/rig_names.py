@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import collections
 import json
 import os
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import UserError, did_you_mean
-from ..values.skeletons import FINGERS, SMPLH
+from ..values.skeletons import SMPLH
 
 # After the side and any prefix are taken off, lower case, letters and digits only. The first that the rig has is taken.
 LIMBS = {
     "hip": ("upleg", "upperleg", "upperlegs", "thigh", "femur", "hip"),
     "knee": ("lowleg", "lowerleg", "lowerlegs", "shin", "calf", "knee", "tibia", "leg"),
-    "ankle": ("foot", "ankle"),
-    "foot": ("toebase", "toe", "toe0", "toes", "ball"),
-    "collar": ("collar", "clavicle", "shoulder"),
-    "shoulder": ("upperarm", "uparm", "arm", "humerus", "shldr", "shoulder"),
-    "elbow": ("forearm", "lowerarm", "lowarm", "elbow", "radius"),
-    "wrist": ("hand", "wrist"),
+    "ankle": ("ankle", "foot"),
+    "foot": ("toebase", "toe", "toe0", "toes", "ball", "foot"),
+    "collar": ("collar", "clavicle", "scapula", "thorax", "shoulder"),
+    "shoulder": ("upperarm", "uparm", "uarm", "arm", "humerus", "shldr", "shoulder"),
+    "elbow": ("forearm", "lowerarm", "lowarm", "farm", "elbow", "radius"),
+    "wrist": ("wrist", "hand"),
 }
 CENTRE = {"neck": ("neck", "neck1", "neck01", "lowerneck"), "head": ("head",)}
 FINGER_NAMES = {
@@ -29,42 +31,89 @@ FINGER_NAMES = {
     "pinky": "pinky|pinkie|little",
     "thumb": "thumb",
 }
+_SEPARATORS = r"[_\s.\-]"
+_PREFIX = re.compile(
+    rf"^(mixamorig\d*|character\d*|bip\d*|valvebiped|armature|def|j|jnt|joint|bone|bn|b|cc_base|m_avg){_SEPARATORS}+",
+    re.I,
+)
+_MIDDLE = re.compile(rf"^(c|m|mid|center|centre){_SEPARATORS}+|{_SEPARATORS}+(c|m|mid|center|centre)$", re.I)
+_WORDS = sorted({word for words in LIMBS.values() for word in words}, key=len, reverse=True)
+_SHARED = 0.7  # of the names of a rig have what is taken for its prefix
 
 
 def split_name(name: str) -> tuple[str, str]:
     """A rig's joint name -> its side (`left`, `right` or ``) and what it is: lower case, letters and digits only.
 
     Prefixes such as `mixamorig:`, `Character1_` or `Bip01 ` are dropped. `LeftUpLeg`, `lThigh`, `thigh.L`, `l_thigh`,
-    `thigh_l` and `Bip01 L Thigh` all have the side left.
+    `thigh_l`, `Bip01 L Thigh`, `J_Bip_L_UpperLeg` and `lfemur` all have the side left.
     """
     bare = re.sub(r"^.*[:|]", "", name.strip())
-    bare = re.sub(
-        r"^(mixamorig\d*|character\d+|bip\d*|valvebiped|armature|def|j|bn|cc_base|m_avg)[_\s.\-]+", "", bare, flags=re.I
-    )
-    bare = re.sub(r"^mixamorig", "", bare)
+    bare = re.sub(r"^mixamorig", "", _without_prefixes(bare))
     for side, word, letter in (("left", "left", "l"), ("right", "right", "r")):
         found = (
-            re.fullmatch(rf"(?i:{word})[_\s.\-]*(.*)", bare)
-            or re.fullmatch(rf"(.*?)[_\s.\-]*(?i:{word})", bare)
-            or re.fullmatch(rf"(?i:{letter})[_\s.\-]+(.*)", bare)
-            or re.fullmatch(rf"(.*?)[_\s.\-]+(?i:{letter})(?:[_.\-]\d+)?", bare)
+            re.fullmatch(rf"(?i:{word}){_SEPARATORS}*(.*)", bare)
+            or re.fullmatch(rf"(.*?){_SEPARATORS}*(?i:{word})", bare)
+            or re.fullmatch(rf"(?i:{letter}){_SEPARATORS}+(.*)", bare)
+            or re.fullmatch(rf"(.*?){_SEPARATORS}+(?i:{letter})(?:[_.\-]\d+)?", bare)
             or re.fullmatch(rf"[{letter}{letter.upper()}]([A-Z].*)", bare)
+            or re.fullmatch(rf"{letter}({'|'.join(_WORDS)})", bare)
         )
         if found and found[1]:
-            return side, re.sub(r"[^a-z0-9]", "", found[1].lower())
-    return "", re.sub(r"[^a-z0-9]", "", bare.lower())
+            return side, _plain(found[1])
+    return "", _plain(_MIDDLE.sub("", bare))
 
 
-def match_rig(names: list[str], parents) -> dict[str, int]:
-    """SMPL-H joint name -> index in the rig, for the joints that the names tell; always holds `pelvis`, the root.
+def _plain(what: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", what.lower())
+
+
+def _without_prefixes(name: str) -> str:
+    while True:
+        shorter = _PREFIX.sub("", name)
+        if shorter in (name, ""):
+            return name
+        name = shorter
+
+
+def bare_names(names: list[str]) -> list[str]:
+    """The names without a beginning or an end, up to a separator, that most of them share: `Robot_LeftArm`, `Hips_jnt`.
+
+    A side is never taken off. Names that lack it stay as they are.
+    """
+    start, end = _shared_start(names), _shared_start([name[::-1] for name in names])[::-1]
+    bare = [name.removeprefix(start) or name for name in names]
+    return [name.removesuffix(end) or name for name in bare]
+
+
+def _shared_start(names: list[str]) -> str:
+    start, longest = "", ""
+    while True:
+        following = collections.Counter(n[len(start)] for n in names if n.startswith(start) and len(n) > len(start))
+        letter, count = following.most_common(1)[0] if following else ("", 0)
+        if not letter or count < _SHARED * len(names):
+            break
+        start += letter
+        if re.fullmatch(r"[:|_\s.\-]", letter):
+            longest = start
+    if not longest and len(names) > 3 and all(name.startswith(start) for name in names):
+        longest = start  # `RobotHips`: nothing divides it, but every name has it
+    sides = re.split(r"[:|_\s.\-]", longest.lower())
+    return "" if {"l", "r", "left", "right", "tfel", "thgir"} & set(sides) else longest
+
+
+def match_rig(names: list[str], parents: Sequence[int] | None) -> dict[str, int]:
+    """SMPL-H joint name -> index in the rig, for the joints that the names tell; always holds `pelvis`: the joint that
+    both legs hang from, whatever it and those above it are called.
 
     The spine is not here: its joints differ in number, not in name (see `retarget`). A `Shoulder` is a collar bone
     where the rig also has an upper arm, and the upper arm where it has a collar bone.
     """
-    split = [split_name(name) for name in names]
+    split = [split_name(name) for name in bare_names(names)]
     found: dict[str, int] = {"pelvis": 0}
     for side in ("left", "right"):
         mine = {what: j for j, (s, what) in reversed(list(enumerate(split))) if s == side}
+        for what, j in list(mine.items()):  # `upperleg01`, the first of several bones of a limb
+            mine.setdefault(re.sub(r"0*1$", "", what), j)
         taken: set[int] = set()
         for part in ("shoulder", "hip", "collar", *(p for p in LIMBS if p not in ("shoulder", "hip", "collar"))):
             words = LIMBS[part]
@@ -79,16 +128,30 @@ def match_rig(names: list[str], parents) -> dict[str, int]:
         choice = next((j for w in words for j, (s, what) in enumerate(split) if not s and what == w), None)
         if choice is not None:
             found[part] = choice
-    return found
+    return found | {"pelvis": pelvis_of(found, parents)}
+
+
+def pelvis_of(found: dict[str, int], parents: Sequence[int] | None) -> int:
+    """The lowest joint above both hips, 0 where they are not known."""
+    if parents is None or not {"left_hip", "right_hip"} <= set(found):
+        return 0
+    lines = []
+    for hip in ("left_hip", "right_hip"):
+        joint, line = int(parents[found[hip]]), []
+        while joint >= 0:
+            line.append(joint)
+            joint = int(parents[joint])
+        lines.append(line)
+    return next((joint for joint in lines[0] if joint in lines[1]), 0)
 
 
 def _fingers(mine: dict[str, int]) -> dict[str, int]:
     out = {}
     for finger, words in FINGER_NAMES.items():
         for what, j in mine.items():
-            match = re.fullmatch(rf"(?:hand|finger|f)?(?:{words})(?:finger)?(?:proximal|meta)?0?(\d)", what)
-            if match and 1 <= int(match[1]) <= 3:
-                out[f"{finger}{match[1]}"] = j
+            match = re.fullmatch(rf"(?:hand|finger|f)?(?:{words})(?:finger)?(?:proximal|meta)?0?(\d?)", what)
+            if match and 1 <= int(match[1] or 1) <= 3:
+                out.setdefault(f"{finger}{match[1] or 1}", j)
     return out
 
 
@@ -116,6 +179,3 @@ def read_mapping(path: str | os.PathLike, names: list[str]) -> dict[str, int]:
             )
         mapping[joint] = -1 if name is None else names.index(name)
     return mapping
-
-
-__all__ = ["FINGERS", "match_rig", "read_mapping", "split_name"]

@@ -90,7 +90,10 @@ def perform(
     view = View(size, width, height, camera, orbit, background, rasterizer, rasterizer_options)
     level = Level(tier, min_psnr, target_fps, budget_ms, uv, seen_only, reuse, threads)
     notes = _Notes(tell)
-    motion = clip.of(motion if isinstance(motion, Motion) else read_motion(motion or MOTIONS.default))
+    motion = motion if isinstance(motion, Motion) else read_motion(motion or MOTIONS.default)
+    for note in motion.notes:
+        notes.add(note)
+    motion = clip.of(motion)
     source = read_bundle(avatar) if isinstance(avatar, (str, os.PathLike)) else avatar
     out = _default_path(source, motion, output, notes) if out is None else out
     drawn = find_output(out, output).wants == "image"

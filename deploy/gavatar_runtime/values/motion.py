@@ -33,7 +33,7 @@ class Motion:
     leg_length: metres from hip to ankle of the person whose `trans` this is, where that person is not the body's shape;
     a body that plays the motion walks in proportion to its own legs. None leaves `trans` alone.
     expression: (T, E) coefficients of SMPL-X's facial expressions or None. hands: what takes the fingers' place in
-    `poses` once a body is known, or None.
+    `poses` once a body is known, or None. notes: what was assumed when it was read, a sentence each, for the user.
     """
 
     poses: np.ndarray
@@ -44,6 +44,7 @@ class Motion:
     leg_length: float | None = None
     expression: np.ndarray | None = None
     hands: HandParameters | None = None
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.poses)

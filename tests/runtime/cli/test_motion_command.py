@@ -8,17 +8,11 @@ import sys
 
 import numpy as np
 import pytest
-from test_motion_files import random_angles, write_bvh
+from bvh_rigs import random_angles, write_bvh
+from commands import run_motion as run
 
-from gavatar_runtime.cli.motion_files import main
 from gavatar_runtime.geometry.rotations import matrix_from_axis_angle
 from gavatar_runtime.motions import read_motion
-
-
-def run(*arguments):
-    with pytest.raises(SystemExit) as done:
-        main([str(a) for a in arguments])
-    return done.value.code
 
 
 @pytest.fixture

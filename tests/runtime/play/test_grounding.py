@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bvh_rigs import MIXAMO, write_bvh
+from commands import run_motion as run
 from make_bundle import free_body, make_bundle
-from test_motion_command import run
-from test_motion_files import MIXAMO, SHARED, write_bvh
+from places import SHARED
 
 from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.cli.play import main as play
@@ -84,7 +85,7 @@ def test_the_player_takes_both_options(bundle, tmp_path):
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["dab", "jumping", "jumping_jacks", "wave_hello", "zombie"])
 def test_the_shared_clips_stand_on_the_floor(avatar, name):
-    path = Path(SHARED / f"{name}.bvh")
+    path = Path(SHARED / "motions" / f"{name}.bvh")
     if not path.exists():
         pytest.skip(f"{path} is absent")
     motion, _ = avatar.fit(read_motion(path))
