@@ -22,7 +22,8 @@ def thinned(surface: Surface, uv: int) -> tuple[np.ndarray, np.ndarray]:
     """
     R = surface.resolution
     if not MIN_UV <= uv <= R:
-        raise WrongValue(f"uv={uv}: this avatar has detail from {MIN_UV} to {R}; export it with a larger --uv for more")
+        fault = f"`uv={uv}`: this avatar has detail from {MIN_UV} to {R}"
+        raise WrongValue(f"{fault}; export it with a larger --uv for more")
     place = (np.stack([surface.texel % R, surface.texel // R]) + 0.5) * (uv / R)
     cell = np.floor(place).astype(np.int64)
     off = np.square(place - cell - 0.5).sum(0)
@@ -69,7 +70,7 @@ def uv_for_count(surface: Surface, count: int) -> int:
         return high
     fewest = len(thinned(surface, low)[0])
     if count < fewest:
-        raise WrongValue(f"gaussians={count}: this avatar has {fewest} to {len(surface)}")
+        raise WrongValue(f"`gaussians={count}`: this avatar has {fewest} to {len(surface)}")
     while high - low > 1:  # `low` keeps few enough, `high` keeps more
         middle = (low + high) // 2
         low, high = (middle, high) if len(thinned(surface, middle)[0]) <= count else (low, middle)
