@@ -46,7 +46,8 @@ class Faults:
     collects."""
 
     def __init__(self, collect: bool = False):
-        self.collect, self.sentences = collect, []
+        self.collect = collect
+        self.sentences: list[str] = []
 
     def of(self, read: Callable, *arguments: Any, **options: Any) -> Any:
         """What `read` returns, or None when it raises UserError and faults are collected."""

@@ -6,6 +6,7 @@ import functools
 import os
 import warnings
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,7 @@ def load(
     """
     bundle = path if isinstance(path, Bundle) else read_bundle(path)
     if gaussians is not None and uv is not None:
-        raise WrongValue("gaussians and uv both choose the level of detail: give one of them")
+        raise WrongValue("`gaussians` and `uv` both choose the level of detail: give one of them")
     if gaussians is not None:
         uv = uv_for_count(bundle.surfaces()[0], gaussians)
     return Avatar(bundle, tier=tier, uv=uv, threads=threads)
@@ -123,12 +124,12 @@ class Avatar(playing.Avatar):
         return self.renderer.rasterize_uint8(gaussians, shot, view.color).copy()
 
     def play(
-        self, motion: str | os.PathLike | Motion = "turn", out: str | os.PathLike | None = None, **how: Any
+        self, motion: str | Path | Motion | None = None, out: str | os.PathLike | None = None, **how: Any
     ) -> PlayReport:
         """Play a motion into a file, as `gavatar-play` does: `avatar.play("wave", "wave.mp4", fps=30)`.
 
-        motion: a built-in one by its name, a file, or a `Motion`. out: a video, a sheet of images, frames in a folder,
-        Gaussians in `frames/%06d.ply`, ... by its name; None is a video beside the bundle. how: see
+        motion: a built-in one by its name, None for a turn, a file, or a `Motion`. out: a video, a sheet of images, a
+        folder of frames, Gaussians in `frames/%06d.ply`, ... by its name; None is a video beside the bundle. how: see
         `play.performance.perform`. Returns what was played, and what each stage of it took.
         """
         return perform(self, motion, out, **how)
@@ -157,8 +158,8 @@ class Avatar(playing.Avatar):
         """One frame as a motion that fits the body."""
         pose, trans, expression = self._frame(pose, trans, expression, parts)
         pose, trans = self._standing(pose, trans)
-        coefficients = self._coefficients(expression)
-        rows = None if coefficients is None else coefficients[None]
+        face = self._face(expression)
+        rows = None if face is None else face[1][None]
         return Motion(pose[None], trans[None], 1.0, name="pose", expression=rows)
 
     def _frame(
@@ -167,10 +168,12 @@ class Avatar(playing.Avatar):
         """Pose (J, 3), translation and expression as `playing.Avatar.gaussians` takes them."""
         if "transl" in parts:
             if trans is not None:
-                raise WrongValue("trans and transl are the same: give one of them")
+                raise WrongValue("`trans` and `transl` are the same: give one of them")
             trans = parts.pop("transl")
         if pose is not None and parts:
-            raise WrongValue(f"a pose was given whole, and {', '.join(parts)} beside it: leave one of them out")
+            raise WrongValue(
+                f"`pose` is whole, and {', '.join(f'`{name}`' for name in parts)} beside it: leave one of them out"
+            )
         if parts:
             pose, lacking = pose_of_parts(parts, self.body)
         elif pose is None:

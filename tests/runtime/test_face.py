@@ -89,7 +89,7 @@ def test_fewer_gaussians_can_be_asked_for_by_their_number(tmp_path):
     assert len(gr.load(path, uv=fewer.uv)) == len(fewer)
     assert len(gr.load(path, uv=fewer.uv + 1)) > 4500
     assert f"{len(fewer)} of 5000 Gaussians" in repr(fewer)
-    with pytest.raises(ValueError, match="gaussians=10: this avatar has 4059 to 5000"):
+    with pytest.raises(ValueError, match="`gaussians=10`: this avatar has 4059 to 5000"):
         gr.load(path, gaussians=10)
     with pytest.raises(ValueError, match="give one of them"):
         gr.load(path, gaussians=4500, uv=64)
@@ -137,7 +137,7 @@ def test_a_translation_is_added_under_either_name(avatar, pose):
     np.testing.assert_allclose(
         there.means, np.float32([1, 2, 3]) + avatar.gaussians(pose).means, atol=2e-6
     )  # float32 at 3 m
-    with pytest.raises(ValueError, match="trans and transl are the same"):
+    with pytest.raises(ValueError, match="`trans` and `transl` are the same"):
         avatar.gaussians(pose, [1, 2, 3], transl=[1, 2, 3])
 
 
@@ -165,7 +165,7 @@ def test_what_moves_that_the_body_lacks_is_said(avatar):
         ({"pose": np.zeros(156), "trans": [0, 0]}, r"trans has shape \(2,\)"),
         ({"pose": np.zeros(156), "trans": [0, np.nan, 0]}, "the translation is NaN"),
         ({"pose": np.zeros(156), "trans": "here"}, "trans is no array of numbers"),
-        ({"pose": np.zeros(156), "body_pose": np.zeros(63)}, "given whole, and body_pose beside it"),
+        ({"pose": np.zeros(156), "body_pose": np.zeros(63)}, "`pose` is whole, and `body_pose` beside it"),
         ({"pose": np.zeros(156), "expression": np.ones(10)}, "this avatar has no expressions"),
         ({"body_pos": np.zeros(63)}, "no part 'body_pos'.*did you mean 'body_pose'"),
     ],

@@ -49,7 +49,7 @@ class AdaptiveAvatar(PlayedAvatar):
         side = finest.surface.resolution
         reuses = REUSE if finest.networks else (1,)
         uvs = [max(64, round(side * share)) for share in DETAIL]
-        self.levels = [(reuse, None) for reuse in reuses]
+        self.levels: list[tuple[int, int | None]] = [(reuse, None) for reuse in reuses]
         self.levels += [(reuses[-1], uv) for uv in dict.fromkeys(uvs) if uv < side]
         self.level = 0
         self.frames: Counter[int] = Counter()  # by level

@@ -14,7 +14,8 @@ class InTurn(Generic[T]):
     wanted."""
 
     def __init__(self, make: Callable[[], T]):
-        self._make, self._made, self._calls = make, [], 0
+        self._make, self._calls = make, 0
+        self._made: list[T] = []
 
     def next(self) -> T:
         """The buffer whose turn it is."""

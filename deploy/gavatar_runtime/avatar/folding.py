@@ -70,8 +70,15 @@ def folded(surface: Surface, still: np.ndarray) -> tuple[Surface, np.ndarray]:
     place[kept] = np.arange(len(kept))
     new_parents = np.array([-1 if parents[j] < 0 else place[carrier[parents[j]]] for j in kept], np.int32)
     index, weight = _merged(place[carrier[surface.joint_index]], surface.joint_weight)
-    changed = {"joints": surface.joints[kept], "parents": new_parents, "A_canonical": surface.A_canonical[kept]}
-    return dataclasses.replace(surface, joint_index=index, joint_weight=weight, **changed), kept
+    small = dataclasses.replace(
+        surface,
+        joint_index=index,
+        joint_weight=weight,
+        joints=surface.joints[kept],
+        parents=new_parents,
+        A_canonical=surface.A_canonical[kept],
+    )
+    return small, kept
 
 
 def _merged(index: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

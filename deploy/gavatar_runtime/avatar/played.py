@@ -63,3 +63,4 @@ class PlayedAvatar(Protocol):
 
     def frame_took(self, seconds: float) -> None:
         """Told after each frame how long it was in coming; of no concern where the level of detail is fixed."""
+        return None

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import os
+from collections.abc import Callable
 from time import perf_counter
 
 import numpy as np
 
 from ..bundle import Bundle, read_bundle
 from ..decoding.detail import thinned
-from ..decoding.residuals import Attributes, empty
 from ..errors import WrongValue
 from ..geometry.skinning import skin
 from ..tiers import Parts, build_tier, player_tiers
@@ -18,12 +19,12 @@ from ..values.gaussians import Gaussians
 from ..values.motion import Motion
 from ..values.surface import Surface
 from .buffers import InTurn
-from .expression import read_expression
+from .expression import Expression, read_expression
 from .folding import Folded
 from .played import PlayedAvatar
 from .played_body import read_body
 from .pose_blendshapes import Turns, read_pose_blendshapes
-from .reuse import Decoder, Faded, Once, undecoded
+from .reuse import Sparing
 from .visibility import seen_from
 
 
@@ -51,7 +52,7 @@ class Avatar(PlayedAvatar):
     ):
         for name, value in (("threads", threads), ("reuse", reuse)):
             if value is not None and value < 1:
-                raise WrongValue(f"{name}={value}: give a whole number from 1 up")
+                raise WrongValue(f"`{name}={value}`: give a whole number from 1 up")
         self.bundle = bundle if isinstance(bundle, Bundle) else read_bundle(bundle)
         self.name = self.bundle.manifest.name
         self.pixel = _training_pixel(self.bundle)
@@ -60,32 +61,28 @@ class Avatar(PlayedAvatar):
         self.uv = stored.resolution if uv is None else uv
         self.surface = stored if chosen is None else stored.take(chosen)
         self.joints = self.surface.joints
-        self._read_what_moves_points(len(stored), chosen)
-        self.body = read_body(self.bundle, self.joints, 0 if self.expression is None else self.expression.count)
+        expression = read_expression(self.bundle, len(stored), len(self.joints))
+        self.expression = None if expression is None else expression.taken(chosen, len(stored))
+        self._offsets = self._read_offsets(len(stored), chosen)
+        self.body = read_body(self.bundle, self.joints, 0 if expression is None else expression.count)
         self.joint_names = self.body.joint_names
         self.stage_seconds: dict[str, float] = {}
-        self.tier, self._tier, self._decoder = player_tiers().default if tier == "" else tier, None, None
+        self.tier = player_tiers().default if tier == "" else tier
+        self._decode: Sparing | None = None
         if self.tier is not None:
-            self._tier = build_tier(self.tier, Parts(self.bundle, stored, map_surface, threads, chosen, added))
-            self._decoder = self._spared(reuse)
-        self.seen_only = bool(seen_only and self.networks and self._tier.picks and reuse == 1)
+            parts = Parts(self.bundle, stored, map_surface, threads, chosen, added)
+            self._decode = Sparing(build_tier(self.tier, parts), reuse, len(self.surface))
+        self.seen_only = bool(seen_only and self._decode is not None and self._decode.picks)
         self._means = InTurn(lambda: np.empty((len(self.surface), 3), np.float32))
         self._normals = InTurn(lambda: np.empty((len(self.surface), 3), np.float32))
         self._folded: Folded | None = None
 
-    def _read_what_moves_points(self, stored: int, chosen: np.ndarray | None) -> None:
-        """The blendshapes of the `chosen` of all points that are stored."""
-        whole = read_expression(self.bundle, stored, self.surface.num_joints)
-        self.expression = None if whole is None else whole.taken(chosen, stored)
-        blendshapes = read_pose_blendshapes(self.bundle, stored, self.surface.num_joints)
-        self._pose_blendshapes = None if blendshapes is None else blendshapes.taken(chosen)
-        self._turns = None if blendshapes is None else Turns.of(self.surface)
-
-    def _spared(self, reuse: int) -> Decoder:
-        """The tier, called as rarely as will do."""
-        if not self._tier.moves:
-            return Once(self._tier)
-        return self._tier if reuse == 1 else Faded(self._tier, reuse, len(self.surface))
+    def _read_offsets(self, stored: int, chosen: np.ndarray | None) -> Callable[[np.ndarray], np.ndarray] | None:
+        """From a pose to what its blendshapes add to the points, None where there are none."""
+        blendshapes = read_pose_blendshapes(self.bundle, stored, len(self.joints))
+        if blendshapes is None:
+            return None
+        return functools.partial(blendshapes.taken(chosen).offsets, turns=Turns.of(self.surface))
 
     @property
     def dynamic(self) -> bool:
@@ -95,7 +92,7 @@ class Avatar(PlayedAvatar):
     @property
     def networks(self) -> bool:
         """Whether networks run over Gaussians in each frame that is decoded."""
-        return self._tier is not None and self._tier.networks and self._tier.moves
+        return self._decode is not None and self._decode.networks
 
     def fit(self, motion: Motion) -> tuple[Motion, tuple[str, ...]]:
         """See `PlayedBody.fit`."""
@@ -127,27 +124,28 @@ class Avatar(PlayedAvatar):
         Raises WrongValue for a pose, a translation or an expression that it cannot have, NaN and infinite ones among
         them, and for an avatar without a tier.
         """
-        if self._decoder is None:
+        if self._decode is None:
             raise WrongValue("this avatar was opened with tier=None: it has a body and no Gaussians")
         pose, trans = self._standing(pose, trans)
-        coefficients = self._coefficients(expression)
+        face = self._face(expression)
         start = perf_counter()
-        surface, A = self._transforms(pose, coefficients)
+        surface, A = self._transforms(pose, face)
         A[:, :3, 3] += trans
-        looking = camera if self.seen_only else None
-        turned = self._skinned_normals(surface, A) if normals or looking is not None else None
         means, index, weight = self._means.next(), surface.joint_index, surface.joint_weight
+        turned = self._skinned_normals(surface, A) if normals else None
         rows = None
-        if looking is not None:
-            rows = seen_from(skin(surface.points, index, weight, A, means), turned, looking)
-            index, weight, turned, means = index[rows], weight[rows], turned[rows], means[: len(rows)]
+        if self.seen_only and camera is not None:
+            facing = self._skinned_normals(surface, A) if turned is None else turned
+            rows = seen_from(skin(surface.points, index, weight, A, means), facing, camera)
+            index, weight, means = index[rows], weight[rows], means[: len(rows)]
+            turned = None if turned is None else turned[rows]
         before = perf_counter() - start
         points, colors, scales = self._decode(pose, rows)
         decoded = perf_counter()
-        points = self._shaped(points, pose, coefficients, rows)
+        points = self._shaped(points, pose, face, rows)
         means = skin(points, index, weight, A, means)
-        self.stage_seconds["skin"] = before + perf_counter() - decoded
-        posed = Gaussians(means=means, scales=scales, colors=colors, normals=turned if normals else None)
+        self.stage_seconds = {**self._decode.stage_seconds, "skin": before + perf_counter() - decoded}
+        posed = Gaussians(means=means, scales=scales, colors=colors, normals=turned)
         return posed.copied() if copy else posed
 
     def _standing(self, pose: np.ndarray, trans: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -168,18 +166,19 @@ class Avatar(PlayedAvatar):
             raise WrongValue("the translation is NaN or infinite")
         return pose, trans
 
-    def _coefficients(self, expression: np.ndarray | None) -> np.ndarray | None:
-        """All E coefficients of an expression, None where it is none."""
+    def _face(self, expression: np.ndarray | None) -> tuple[Expression, np.ndarray] | None:
+        """What moves the face and the (E,) coefficients by which it does, None where it is at rest."""
         if expression is None or not np.any(expression):
             return None
         if self.expression is None:
             raise WrongValue("this avatar has no expressions: leave the expression out")
-        return self.expression.filled(np.asarray(expression, np.float32))
+        return self.expression, self.expression.filled(np.asarray(expression, np.float32))
 
-    def _transforms(self, pose: np.ndarray, coefficients: np.ndarray | None) -> tuple[Surface, np.ndarray]:
+    def _transforms(self, pose: np.ndarray, face: tuple[Expression, np.ndarray] | None) -> tuple[Surface, np.ndarray]:
         """The surface to skin by, and its joints' (J, 4, 4) canonical-to-posed transforms, without translation."""
-        if coefficients is not None:  # which moves joints of the face: none of them rests
-            return self.surface, self.surface.skin_transforms(pose, self.expression.joints @ coefficients)
+        if face is not None:  # which moves joints: none of them rests
+            expression, coefficients = face
+            return self.surface, self.surface.skin_transforms(pose, expression.joints @ coefficients)
         if self._folded is not None and self._folded.fits(pose):
             return self._folded.surface, self._folded.surface.skin_transforms(pose[self._folded.moving])
         return self.surface, self.surface.skin_transforms(pose)
@@ -190,28 +189,21 @@ class Avatar(PlayedAvatar):
         turn[:, :3, 3] = 0
         return skin(surface.normals, surface.joint_index, surface.joint_weight, turn, self._normals.next())
 
-    def _decode(self, pose: np.ndarray, rows: np.ndarray | None) -> Attributes:
-        """Points, colors and scales of the `rows`, None for all; `stage_seconds` says what it took."""
-        if rows is None:
-            attributes, seconds = self._decoder(pose), self._decoder.stage_seconds
-        elif len(rows):
-            attributes, seconds = self._tier(pose, rows), self._tier.stage_seconds
-        else:
-            attributes, seconds = empty(0), undecoded()
-        self.stage_seconds = dict(seconds)
-        return attributes
-
     def _shaped(
-        self, points: np.ndarray, pose: np.ndarray, coefficients: np.ndarray | None, rows: np.ndarray | None
+        self,
+        points: np.ndarray,
+        pose: np.ndarray,
+        face: tuple[Expression, np.ndarray] | None,
+        rows: np.ndarray | None,
     ) -> np.ndarray:
-        """Canonical points moved by blendshapes of pose and expression. rows: which they are, or None."""
-        if self._pose_blendshapes is not None:
-            offsets = self._pose_blendshapes.offsets(pose, self._turns)
+        """Canonical points moved by blendshapes of pose and face. rows: which they are, None for all."""
+        if self._offsets is not None:
+            offsets = self._offsets(pose)
             points = points + (offsets if rows is None else offsets[rows])
-        if coefficients is None:
+        if face is None:
             return points
-        expression = self.expression if rows is None else self.expression.taken(rows, len(self))
-        return expression.points(points, coefficients)
+        expression, coefficients = face
+        return expression.taken(rows, len(self)).points(points, coefficients)
 
 
 def _training_pixel(bundle: Bundle) -> float | None:

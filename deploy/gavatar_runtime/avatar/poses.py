@@ -56,7 +56,7 @@ def pose_of_parts(parts: Mapping[str, Any], body: PlayedBody) -> tuple[np.ndarra
     """
     for name in parts:
         if name == "betas":
-            raise WrongValue("an avatar has the shape that it was trained with: leave betas out")
+            raise WrongValue("an avatar has the shape that it was trained with: leave `betas` out")
         if name not in PARTS:
             raise WrongValue(f"a pose has no part '{name}': {did_you_mean(name, PARTS)}")
     given = {name: _finite(name, value) for name, value in parts.items() if name not in HAND_WORDS}

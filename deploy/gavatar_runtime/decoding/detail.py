@@ -70,7 +70,7 @@ def uv_for_count(surface: Surface, count: int) -> int:
         return high
     fewest = len(thinned(surface, low)[0])
     if count < fewest:
-        raise WrongValue(f"gaussians={count}: this avatar has {fewest} to {len(surface)}")
+        raise WrongValue(f"`gaussians={count}`: this avatar has {fewest} to {len(surface)}")
     while high - low > 1:  # `low` keeps few enough, `high` keeps more
         middle = (low + high) // 2
         low, high = (middle, high) if len(thinned(surface, middle)[0]) <= count else (low, middle)

@@ -70,7 +70,7 @@ class Network:
             into = None if out is None else [array[share] for array in out]
             return self._run(worker, {**feeds, ROWS: np.ascontiguousarray(rows[share])}, into)
 
-        others = [self._pool.submit(run, worker) for worker in range(1, len(shares))]
+        others = [] if self._pool is None else [self._pool.submit(run, worker) for worker in range(1, len(shares))]
         parts = [run(0), *(other.result() for other in others)]
         if out is not None:
             return list(out)

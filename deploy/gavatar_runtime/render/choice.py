@@ -40,8 +40,9 @@ def build_rasterizer(
 
 def best_rasterizer() -> str:
     """The name of the player's rasterizer that is preferred of those that can be had here."""
-    found = [c for c in player_rasterizers() if not c.missing() and c.default_traits is not None]
-    return max(found, key=lambda component: component.default_traits.preference).name
+    found = {c.name: c.default_traits for c in player_rasterizers() if not c.missing()}
+    preference = {name: traits.preference for name, traits in found.items() if traits is not None}
+    return max(preference, key=preference.__getitem__)
 
 
 def player_rasterizers() -> Registry[Rasterizer]:

@@ -87,6 +87,13 @@ class Tier(Protocol):
         scales (N,) metres, float32. The arrays may be filled again two calls later."""
 
 
+class PickingTier(Tier, Protocol):
+    """A tier that `picks`."""
+
+    def __call__(self, pose: np.ndarray, rows: np.ndarray | None = None) -> Attributes:
+        """See `Tier`. rows: which Gaussians to decode, None for all."""
+
+
 PLAYER_TIERS: Registry[Tier] = Registry("tier")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -97,7 +98,7 @@ class Surface:
         missing = [name for name in names if name not in arrays]
         if missing:
             raise UserError(f"{source}: array '{missing[0]}' is missing; export the surface again")
-        values = {name: np.asarray(arrays[name]) for name in names}
+        values: dict[str, Any] = {name: np.asarray(arrays[name]) for name in names}
         _check(values, source)
         values["resolution"] = int(values["resolution"])
         values["weight_truncation"] = float(values["weight_truncation"])

@@ -160,7 +160,7 @@ def test_coefficients_of_a_body_without_hand_data_are_named_if_they_move():
     ("parts", "message"),
     [
         ({"bodypose": np.zeros(63)}, "a pose has no part 'bodypose'.*did you mean 'body_pose'"),
-        ({"betas": np.zeros(10)}, "shape that it was trained with: leave betas out"),
+        ({"betas": np.zeros(10)}, "shape that it was trained with: leave `betas` out"),
         ({"body_pose": np.zeros(60)}, "body_pose holds 60 numbers, expected 63 or 69"),
         ({"body_pose": np.zeros((2, 63))}, "body_pose holds 126 numbers"),
         ({"global_orient": np.zeros((3, 3))}, "global_orient holds 9 numbers, expected 3"),

@@ -30,5 +30,5 @@ def test_all_where_as_many_or_more_are_asked_for(surface):
 def test_fewer_than_the_coarsest_level_keeps_are_refused(surface, count):
     fewest = len(thinned(surface, MIN_UV)[0])
     assert uv_for_count(surface, fewest) >= MIN_UV
-    with pytest.raises(WrongValue, match=f"gaussians={count}: this avatar has {fewest} to 9000"):
+    with pytest.raises(WrongValue, match=f"`gaussians={count}`: this avatar has {fewest} to 9000"):
         uv_for_count(surface, count)

@@ -65,10 +65,8 @@ class NativeRasterizer(Rasterizer):
         depth = self._buffer("depth", size) if self.config.depth else None
         self._forward(gaussians, small, background, color=color, alpha=alpha, depth=depth)
         if small is not camera:
-            color, alpha, depth = (
-                image if image is None else self._enlarged(name, image, camera)
-                for name, image in (("color", color), ("alpha", alpha), ("depth", depth))
-            )
+            color, alpha = self._enlarged("color", color, camera), self._enlarged("alpha", alpha, camera)
+            depth = None if depth is None else self._enlarged("depth", depth, camera)
         return Rendering(color, alpha, depth, dropped=self._report.dropped)
 
     def render_uint8(self, gaussians: Gaussians, camera: Camera, background: Sequence[float] = WHITE) -> np.ndarray:
@@ -79,13 +77,13 @@ class NativeRasterizer(Rasterizer):
         return color8 if small is camera else self._enlarged("color8", color8, camera)
 
     def _enlarged(self, name: str, image: np.ndarray, camera: Camera) -> np.ndarray:
-        large = self._buffer(f"large {name}", (camera.height, camera.width, *image.shape[2:]), image.dtype)
+        large = self._buffer(f"large {name}", (camera.height, camera.width, *image.shape[2:]), image.dtype.type)
         started = perf_counter()
         resize(image, large)
         self.stage_seconds["upsample"] = self.stage_seconds.get("upsample", 0.0) + perf_counter() - started
         return large
 
-    def _buffer(self, name: str, shape: tuple[int, ...], dtype=np.float32) -> np.ndarray:
+    def _buffer(self, name: str, shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarray:
         buffer = self._buffers.get(name)
         if buffer is None or buffer.shape != shape:
             buffer = self._buffers[name] = np.empty(shape, dtype)
@@ -119,7 +117,7 @@ def gaussians_struct(gaussians: Gaussians) -> tuple[list[np.ndarray | None], nl.
     Raises ValueError for arrays whose shapes do not belong together.
     """
     n = len(gaussians.means)
-    shapes = {
+    shapes: dict[str, list[tuple[int, ...]]] = {
         "means": [(n, 3)],
         "scales": [(n,), (n, 3)],
         "colors": [(n, 3)],
