@@ -11,10 +11,10 @@ from collections.abc import Iterator
 
 import numpy as np
 import torch
-from gavatar_runtime.progress import shown
 
 from gavatar_runtime.decoding.residuals import grouped
 from gavatar_runtime.geometry.spacing import evenly_spaced
+from gavatar_runtime.progress import shown
 from gavatar_runtime.tiers.blendshape import Coefficients, pose_input, turn_input
 from gavatar_runtime.values.body import SMPL_BODY_JOINTS
 from gavatar_runtime.values.surface import Surface
