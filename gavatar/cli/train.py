@@ -70,7 +70,7 @@ def _run_jobs(arguments: list[str], names: dict[str, str], folder: Path, expecte
     Returns the exit code of the worst."""
     from .jobs import CRASHED, MISTAKEN, arrive
 
-    job = arrive(names, folder)
+    job = arrive(names, folder, os.getpid())
     _hydra(arguments, job)
     outcomes = job.results()
     for outcome in outcomes:

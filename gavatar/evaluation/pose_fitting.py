@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
+from gavatar_runtime.progress import shown
 from gavatar_runtime.values.motion import Motion
 
 from ..attributes import Attributes
@@ -42,7 +42,7 @@ def fit_poses(
     composer = LossComposer(judging_poses(losses))
     rates = options.lr, options.lr_trans
     optimizer = RowAdam([{"params": [p]} for p in (table.rotation_correction, table.trans_correction)])
-    for step in tqdm(range(steps), desc="fitting held-out poses", unit="step", disable=not progress, leave=False):
+    for step in shown(range(steps), "fitting held-out poses", "step", show=progress):
         factor = 0.5 * (1 + np.cos(np.pi * step / max(1, steps)))
         for group, rate in zip(optimizer.param_groups, rates, strict=True):
             group["lr"] = rate * max(LEAST_RATE, factor)

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
+from gavatar_runtime.progress import shown
 from gavatar_runtime.values.motion import Motion
 
 from ..assemble import build_rasterizer
@@ -63,7 +63,7 @@ class Evaluator:
     def score(self, split: str, poses: str, views: Sequence[View], motion: Motion) -> SplitScore:
         """Scores of `views` with the poses of `motion`, and its joint error over their frames where truth exists."""
         run, scene, scores = self.run, self.scene(views, motion), []
-        for view in tqdm(views, desc=f"{split}, {poses} poses", unit="view", disable=not self.progress, leave=False):
+        for view in shown(views, f"{split}, {poses} poses", "view", show=self.progress):
             color, alpha = run.capture.load(view)
             target = torch.from_numpy(color + (1 - alpha[..., None])).permute(2, 0, 1)[None].to(self.device)
             image = self._image(scene, view, motion).clamp(0, 1)

@@ -11,10 +11,10 @@ from collections.abc import Iterator
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from gavatar_runtime.decoding.residuals import grouped
 from gavatar_runtime.geometry.spacing import evenly_spaced
+from gavatar_runtime.progress import shown
 from gavatar_runtime.tiers.blendshape import Coefficients, pose_input, turn_input
 from gavatar_runtime.values.body import SMPL_BODY_JOINTS
 from gavatar_runtime.values.surface import Surface
@@ -78,7 +78,7 @@ class _Residuals:
 
     def of(self, poses: np.ndarray, label: str) -> Iterator[np.ndarray]:
         """One after the other. label: of the bar."""
-        bar = tqdm(poses, desc=label, unit="pose", disable=not self.source.progress, leave=False)
+        bar = shown(poses, label, "pose", show=self.source.progress)
         return ((self.source.decode(pose, self.surface) - self._mean) * WEIGHT for pose in bar)
 
     def stacked(self, poses: np.ndarray) -> np.ndarray:
@@ -245,7 +245,7 @@ def _fit_network(
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     chance = torch.ones(len(x))
     chance[:real] = 4
-    for _ in tqdm(range(steps), desc="fitting coefficients", unit="step", disable=not progress, leave=False):
+    for _ in shown(range(steps), "fitting coefficients", "step", show=progress):
         batch = torch.multinomial(chance, min(128, len(x)), generator=generator)
         h = x[batch] + 0.02 * torch.randn(len(batch), x.shape[1], generator=generator)
         for i, (w, b) in enumerate(layers):

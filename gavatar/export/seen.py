@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
-from tqdm import tqdm
 
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.spacing import evenly_spaced
+from gavatar_runtime.progress import shown
 from gavatar_runtime.render.widening import as_trained
 
 from ..assemble import build_rasterizer
@@ -47,7 +47,7 @@ def seen(run: Run, margin: float = MARGIN, progress: bool = False) -> np.ndarray
     largest = torch.zeros(len(run.avatar.surface))
     views = sorted(run.capture.views(run.config.train_split), key=lambda view: view.frame)
     frame, gaussians = None, None
-    for view in tqdm(views, desc="looking for what is seen", unit="view", disable=not progress, leave=False):
+    for view in shown(views, "looking for what is seen", "view", show=progress):
         if view.frame != frame:
             frame, gaussians = view.frame, posed(run, motion, view.frame)
         camera = run.capture.camera(view)

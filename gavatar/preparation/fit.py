@@ -11,10 +11,10 @@ import dataclasses
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.rotations import axis_angle_from_matrix
+from gavatar_runtime.progress import Progress
 from gavatar_runtime.values.camera import Camera
 
 from ..body.skeleton import SMPL_BODY_JOINTS, BodyData
@@ -255,8 +255,8 @@ class BodyFitter:
             groups = [{"params": [u], "lr": rates[u]} for u in unknowns]
             optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99))
             schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, _warm_cosine(steps))
-            bar = tqdm(range(steps), desc=f"fit {name}", unit="step", disable=not progress, leave=False)
-            for step in bar:
+            bar = Progress(f"fit {name}", steps, "step", show=progress)
+            for step in range(steps):
                 optimizer.zero_grad()
                 terms = self.losses(stage)
                 weights = self._weights(stage, step / steps)
@@ -267,7 +267,8 @@ class BodyFitter:
                 with torch.no_grad():
                     self.poses.clamp_(self.low, self.high)
                 last = {k: float(v.detach()) for k, v in terms.items()}
-                bar.set_postfix(loss=f"{float(total.detach()):.3f}", image=f"{last['image']:.3f}")
+                bar.advance(loss=float(total.detach()), image=last["image"])
+            bar.close()
         if not all(torch.isfinite(u).all() for u in stages[1][1]):
             raise UserError(
                 "the fit diverged to NaN: the landmarks or cameras contradict each other; check their units"

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Iterator
 
 import cv2
 import numpy as np
-from tqdm import tqdm
 
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.spacing import evenly_spaced
+from gavatar_runtime.progress import shown
 
 from .landmarks import Landmarks
 from .matting import refine_mask
@@ -103,9 +103,8 @@ def track(
     image_points, world, visibility = np.zeros((count, 33, 2)), np.zeros((count, 33, 3)), np.zeros((count, 33))
     sharpness, cut = np.full(count, np.nan), np.zeros((count, 4), bool)
     size = (0, 0)
-    bar = tqdm(poses(images(), networks, SIMILAR * side), f"find person in {what}", count, unit="frame",
-               disable=not progress, leave=False)  # fmt: skip
-    for t, (image, pose) in enumerate(bar):
+    found = poses(images(), networks, SIMILAR * side)
+    for t, (image, pose) in enumerate(shown(found, f"find person in {what}", "frame", total=count, show=progress)):
         size = image.shape[1], image.shape[0]
         mask = np.zeros(image.shape[:2], np.uint8)
         if pose.region is not None:

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from tqdm import tqdm
 
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.spacing import evenly_spaced
+from gavatar_runtime.progress import shown
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.motion import Motion
 
@@ -102,7 +102,7 @@ def write_capture(
         with _Preview(folder, motion.fps, len(motion), len(cameras), preview) as drawn:
             streams = [zip(f.images(), f.masks(), strict=True) for f in source.footage]
             views = zip(*streams, strict=True)
-            for t, pairs in enumerate(tqdm(views, "write", len(motion), unit="frame", disable=not progress)):
+            for t, pairs in enumerate(shown(views, "write", "frame", total=len(motion), show=progress)):
                 tiles = []
                 for c, (image, mask) in enumerate(pairs):
                     _write_view(folder, names[c], t, image, mask, lossless=isinstance(source.footage[c].frames, list))

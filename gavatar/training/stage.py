@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.progress import Progress
 
 from ..losses import LossComposer, LossInputs
 from ..registry import LOSSES, LossTraits
@@ -120,22 +120,23 @@ class Stage:
 
     def _run_steps(self, start: int) -> None:
         plan, record, steps = self.plan, self.record, self.plan.stage.steps
-        bar = tqdm(total=steps, initial=start, desc=f"stage {plan.number}", unit="step", disable=not self.progress)
         clock = time.perf_counter()
-        for step in range(start, steps):
-            losses = self.step(step)
-            bar.update()
-            last = step + 1 == steps
-            if step % 10 == 0 or last:
-                bar.set_postfix({k: f"{v:.4f}" for k, v in losses.items() if k == "total" or _in_bar(k)})
-                record.log(plan.number, step, {k: float(v) for k, v in losses.items()})
-            if not np.isfinite(losses["total"]):
-                self._diverged(step, losses["total"])
-            if (step + 1) % plan.save_every == 0 and not last:
-                record.seconds[plan.number] += time.perf_counter() - clock
-                clock = time.perf_counter()
-                self.save(step + 1)
-        bar.close()
+        title = f"stage {plan.number}"
+        with Progress(title, steps, "step", done=start, show=self.progress, lasting=True) as bar:
+            for step in range(start, steps):
+                losses = self.step(step)
+                last = step + 1 == steps
+                told = {}
+                if step % 10 == 0 or last:
+                    told = {"loss" if k == "total" else k: v for k, v in losses.items() if k == "total" or _in_bar(k)}
+                    record.log(plan.number, step, {k: float(v) for k, v in losses.items()})
+                bar.advance(**told)
+                if not np.isfinite(losses["total"]):
+                    self._diverged(step, losses["total"])
+                if (step + 1) % plan.save_every == 0 and not last:
+                    record.seconds[plan.number] += time.perf_counter() - clock
+                    clock = time.perf_counter()
+                    self.save(step + 1)
         record.seconds[plan.number] += time.perf_counter() - clock
 
     def _diverged(self, step: int, loss: float) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import torch
-from tqdm import tqdm
+
+from gavatar_runtime.progress import shown
 
 from ..assemble import AvatarBuild, build_avatar, build_rasterizer, capture_on_body, choose_device
 from ..capture.capture import Capture, View
@@ -99,7 +99,7 @@ def training_scene(config: TrainConfig, built: AvatarBuild, capture: Capture, vi
         crop=config.crop,
         mask_edge=config.mask_edge,
         mask_matte=config.mask_matte,
-        bar=_bar(config.progress, "reading images", unit="image"),
+        bar=lambda items: shown(items, "reading images", "image", show=config.progress),
     )
     return Scene(
         built,
@@ -109,10 +109,6 @@ def training_scene(config: TrainConfig, built: AvatarBuild, capture: Capture, vi
         Exposure(len(views)).to(device) if config.exposure else None,
         Shape(built.betas, data.num_betas).to(device) if shaped else None,
     )
-
-
-def _bar(show: bool, title: str, unit: str) -> Callable[[Iterable], Iterable]:
-    return lambda items: tqdm(items, desc=title, unit=unit, disable=not show)
 
 
 def resolved(config: TrainConfig) -> dict[str, Any]:
