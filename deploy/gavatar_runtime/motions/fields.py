@@ -60,9 +60,8 @@ class SmplFields(HandFields):
         faults.stop()
         trans = trans * np.float32(trans_scale)
         motion = y_up(Motion(poses, trans, rate, betas, self.path.stem, leg_length, expression, hands), up)
-        motion.trans, notes = in_metres(self.path, motion.trans, rate, units)
-        motion.notes = (*self.notes, *notes)
-        return motion
+        trans, notes = in_metres(self.path, motion.trans, rate, units)
+        return dataclasses.replace(motion, trans=trans, notes=(*self.notes, *notes))
 
     def _rows(self) -> int | None:
         """Frames of poses that could not be read, None where that cannot be told."""
