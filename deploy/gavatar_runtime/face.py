@@ -132,7 +132,10 @@ class Avatar(playing.Avatar):
         folder of frames, Gaussians in `frames/%06d.ply`, ... by its name; None is a video beside the bundle. how: see
         `play.performance.perform`. Returns what was played, and what each stage of it took.
         """
-        return perform(self, motion, out, **how)
+        try:
+            return perform(self, motion, out, **how)
+        finally:
+            self.follow(None)  # a pose has the same Gaussians, to the last bit, whatever was played before
 
     def save(
         self,
@@ -150,7 +153,7 @@ class Avatar(playing.Avatar):
         output, output_options: the name of an output where the suffix does not tell, and options of its own.
         """
         motion = self._still(pose, trans, expression, parts)
-        report = perform(self, motion, path, output=output, output_options=output_options)
+        report = self.play(motion, path, output=output, output_options=output_options)
         for note in report.notes:
             warnings.warn(note, stacklevel=2)
 

@@ -265,6 +265,15 @@ def test_a_motion_plays_into_a_video(avatar, tmp_path):
         avatar.play(tmp_path / "absent.npz", tmp_path / "wave.mp4")
 
 
+def test_what_was_played_before_changes_no_bit_of_a_pose(bundle, pose, tmp_path):
+    avatar = gr.load(bundle)
+    pose[22:] = 0  # the fingers rest, as in the motion
+    first = avatar.gaussians(pose)
+    motion = gr.Motion(np.stack([pose, 2 * pose]), np.zeros((2, 3), np.float32), 30.0)
+    avatar.play(motion, tmp_path / "out.png", size=16)
+    assert same(avatar.gaussians(pose), first)
+
+
 def test_a_pose_is_saved_as_gaussians_or_as_an_image(avatar, pose, tmp_path):
     avatar.save(tmp_path / "me.ply", pose)
     avatar.save(tmp_path / "same.ply", global_orient=pose[0], body_pose=pose[1:22], left_hand_pose=pose[22:37],

@@ -62,7 +62,7 @@ class AdaptiveAvatar(PlayedAvatar):
         """See `Avatar.fit`."""
         return self._finest.fit(motion)
 
-    def follow(self, motion: Motion) -> None:
+    def follow(self, motion: Motion | None) -> None:
         """See `Avatar.follow`."""
         self._motion = motion
         for avatar in self._avatars.values():

@@ -44,8 +44,8 @@ class PlayedAvatar(Protocol):
         """The motion brought to this body's joints, and the names of what moves in it that the body lacks."""
         raise NotImplementedError
 
-    def follow(self, motion: Motion) -> None:
-        """Prepare for the poses of a fitted motion."""
+    def follow(self, motion: Motion | None) -> None:
+        """Prepare for the poses of a fitted motion, None for any."""
         raise NotImplementedError
 
     def gaussians(

@@ -98,10 +98,11 @@ class Avatar(PlayedAvatar):
         """See `PlayedBody.fit`."""
         return self.body.fit(motion)
 
-    def follow(self, motion: Motion) -> None:
+    def follow(self, motion: Motion | None) -> None:
         """Prepare for the poses of a fitted motion: joints that it never moves are folded into their parents, which
-        spares a tenth of skinning where that is the fingers. Any other pose remains right, at the former cost."""
-        self._folded = Folded.of(self.surface, motion.poses)
+        spares a tenth of skinning where that is the fingers. Any other pose remains right, at the former cost. The sums
+        of skinning come in another order then; None: as before any motion."""
+        self._folded = None if motion is None else Folded.of(self.surface, motion.poses)
 
     def gaussians(
         self,
