@@ -22,7 +22,7 @@ from typing import Any
 import torch
 
 from gavatar_runtime.bundle import Manifest
-from gavatar_runtime.errors import UserError
+from gavatar_runtime.errors import UserError, WrongValue
 
 from .capture import opening
 from .capture.capture import Capture
@@ -170,7 +170,7 @@ class TrainedRun:
         if path.suffix != ".gavatar":
             raise UserError(f"{path}: a bundle's name ends in .gavatar")
         if poses < 1:
-            raise UserError(f"poses={poses}: give at least 1, an export that is not verified is not written")
+            raise WrongValue(f"`poses={poses}`: give at least 1, an export that is not verified is not written")
         names = [name.strip() for name in tiers.split(",") if name.strip()] if isinstance(tiers, str) else list(tiers)
         if names == ["auto"]:
             manifest = export_front(self.opened, path, poses, uv=uv, drop_unseen=drop_unseen, progress=progress)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
-from gavatar_runtime.errors import UserError, exit_cleanly
+from gavatar_runtime.cli.settings import as_flags
+from gavatar_runtime.errors import exit_cleanly, options_spelled
 
 from ..optional import requires_extra
 
@@ -57,13 +57,12 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser().parse_args(argv)
     from ..face import open_run
 
-    if arguments.poses < 1:
-        raise UserError("--poses must be at least 1: an export that is not verified is not written")
     run = open_run(arguments.run, arguments.stage, arguments.capture)
-    print(run.export(
-        arguments.out, tiers=arguments.tiers or "", uv=arguments.uv, drop_unseen=arguments.drop_unseen,
-        poses=arguments.poses, progress=sys.stderr.isatty(),
-    ))  # fmt: skip
+    with options_spelled(as_flags(vars(arguments))):
+        print(run.export(
+            arguments.out, tiers=arguments.tiers or "", uv=arguments.uv, drop_unseen=arguments.drop_unseen,
+            poses=arguments.poses, progress=True,
+        ))  # fmt: skip
     return 0
 
 

@@ -7,10 +7,11 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from gavatar_runtime.errors import UserError, exit_cleanly
+from gavatar_runtime.cli.settings import as_flags
+from gavatar_runtime.errors import UserError, exit_cleanly, options_spelled, spelled
 
 from ..optional import requires_extra
-from ..preparation.settings import FITTED_BETAS, LARGEST, MOST_FRAMES, RANGES, check_numbers
+from ..preparation.settings import FITTED_BETAS, LARGEST, MOST_FRAMES
 
 DESCRIPTION = "Find the person in a video, fit the body, write a capture that gavatar-train reads."
 EPILOG = """SOURCE is a video of one person before a camera that stands still, or a folder that holds one of
@@ -133,13 +134,14 @@ def main(argv: list[str] | None = None) -> int:
         raise UserError("give the folder to write by -o CAPTURE, or --check to look at a capture")
     from ..preparation.from_footage import prepare
 
-    check_numbers({name: getattr(arguments, name) for name in RANGES}, lambda name: "--" + name.replace("_", "-"))
     named = ("height", "fps", "max_frames", "size", "landmarks", "masks", "cameras", "fov", "refine_cameras",
              "holdout_camera", "pose_network", "num_betas", "name", "license", "preview", "overwrite")  # fmt: skip
     options = {name: getattr(arguments, name) for name in named}
     frames = _slice(arguments.frames)
-    print(prepare(arguments.source, arguments.out, frames=frames, body=_body(arguments),
-                  progress=not arguments.quiet, **options))  # fmt: skip
+    body, flags = _body(arguments), as_flags(vars(arguments))
+    with options_spelled(flags):
+        print(prepare(arguments.source, arguments.out, frames=frames, body=body, progress=not arguments.quiet,
+                      say=lambda sentence: print(spelled(sentence, flags)), **options))  # fmt: skip
     return 0
 
 

@@ -6,7 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from gavatar_runtime.errors import UserError, exit_cleanly
+from gavatar_runtime.cli.settings import as_flags
+from gavatar_runtime.errors import UserError, exit_cleanly, options_spelled
 
 from ..optional import requires_extra
 
@@ -80,10 +81,11 @@ def main(argv: list[str] | None = None) -> int:
     choices = [Choice(tier.strip()) for tier in a.tiers.split(",")] if a.tiers else None
     perceptual, name = (None, None) if a.no_perceptual else perceptual_metric()
     before = yardstick()
-    rows = run_ladder(
-        path, motion, a.size, a.size, capture=capture, choices=choices, perceptual=perceptual,
-        processes=not a.no_process, threads=a.threads, say=lambda text: print(text, file=sys.stderr),
-    )  # fmt: skip
+    with options_spelled(as_flags(vars(a))):
+        rows = run_ladder(
+            path, motion, a.size, a.size, capture=capture, choices=choices, perceptual=perceptual,
+            processes=not a.no_process, threads=a.threads, say=lambda text: print(text, file=sys.stderr),
+        )  # fmt: skip
     print(table(rows, f"{machine()} ({before} before, {yardstick()} after)", name))
     if a.json:
         write_json(a.json, [row.as_json() for row in rows])

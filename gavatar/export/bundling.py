@@ -131,7 +131,7 @@ def with_needs(names: Sequence[str], run: Run) -> list[str]:
     if wanted and run.avatar.encoder is None:
         raise UserError(
             f"{run.directory}: a static avatar needs no tiers (asked: {', '.join(wanted)}): it is decoded once; leave "
-            "--tiers out"
+            "`tiers` out"
         )
     return [TIERS.default, *wanted] if wanted else []
 

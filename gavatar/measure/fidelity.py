@@ -84,7 +84,7 @@ def held_out(capture: Capture, fit: Callable[[Motion], Motion], limit: int = QUA
     split = next((s for s in FOOTAGE_SPLITS if capture.splits.get(s)), None)
     if split is None:
         raise UserError(
-            f"capture '{capture.name}' holds no frames out ({', '.join(FOOTAGE_SPLITS)}): leave --capture out"
+            f"capture '{capture.name}' holds no frames out ({', '.join(FOOTAGE_SPLITS)}): leave `capture` out"
         )
     views: list[View] = capture.views(split)
     views = [views[i] for i in evenly_spaced(len(views), limit)]

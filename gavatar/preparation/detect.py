@@ -79,7 +79,7 @@ def notes(name: str, numbers: np.ndarray, tracked: Tracked, moved: float | None)
         blurred = known & (np.nan_to_num(tracked.sharpness) < 0.35 * typical)
         if blurred.any():
             said.append(f"{name}: {_frames(numbers[blurred], len(numbers))} blurred beside the others: leave them "
-                        "out with --frames, or move more slowly")  # fmt: skip
+                        "out with `frames`, or move more slowly")  # fmt: skip
     return said
 
 

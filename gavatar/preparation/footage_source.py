@@ -145,24 +145,24 @@ def open_source(path: Path, options: SourceOptions | None = None) -> Source:
     if path.is_file() and len(lenses) == 1:
         lenses = {"cam0": next(iter(lenses.values()))}  # the only camera, whatever it is called there
     if not lenses and len(found) > 1:
-        raise UserError(f"{path} holds {len(found)} cameras ({', '.join(found)}) but no cameras.json: give --cameras")
+        raise UserError(f"{path} holds {len(found)} cameras ({', '.join(found)}) but no cameras.json: give `cameras`")
     films, alone = [_Film.of(name, frames) for name, frames in found.items()], len(found) == 1
     for name in found:
         if lenses and name not in lenses:
             raise UserError(f"{cameras_file} has no camera '{name}', which {path} holds (it has: {', '.join(lenses)})")
     given = [_beside(path, name, options, alone) for name in found]
     if None in given and options.fps is None and not any(film.rate for film in films):
-        raise UserError(f"{path}: the footage does not say its frame rate: give --fps")
+        raise UserError(f"{path}: the footage does not say its frame rate: give `fps`")
     parts = [_footage(film, lenses.get(film.name), its, options) for film, its in zip(films, given, strict=True)]
     footage = [one for one, _, _ in parts]
     if len({len(f.numbers) for f in footage}) > 1:
         counts = ", ".join(f"{f.name} {len(f.numbers)}" for f in footage)
         raise UserError(
-            f"{path}: the cameras have different numbers of frames ({counts}); choose common ones: --frames"
+            f"{path}: the cameras have different numbers of frames ({counts}); choose common ones by `frames`"
         )
     fps = options.fps or next((rate for _, rate, _ in parts if rate), None)
     if fps is None:
-        raise UserError(f"{path}: neither landmarks nor video say the frame rate: give --fps")
+        raise UserError(f"{path}: neither landmarks nor video say the frame rate: give `fps`")
     numbers = footage[0].numbers
     description = (
         f"{len(footage)} camera{'s' * (len(footage) > 1)} ({', '.join(found)}), {len(numbers)} frames from "
@@ -236,13 +236,13 @@ def _footage(film: _Film, lens: Lens | None, given: tuple[Path, Path] | None, op
     if given is None:
         if frames == slice(None) and options.most_frames and count > options.most_frames:
             frames = slice(None, None, -(-count // options.most_frames))
-            notes.append(f"{name}: every {_ordinal(frames.step)} of {count} frames is taken (--max-frames, --frames)")
+            notes.append(f"{name}: every {_ordinal(frames.step)} of {count} frames is taken (`max_frames`, `frames`)")
         if longest is None and options.largest and max(filmed) > options.largest:
             longest = options.largest
-            notes.append(f"{name}: {filmed[0]}x{filmed[1]} pixels are reduced to {longest} on the longer side (--size)")
+            notes.append(f"{name}: {filmed[0]}x{filmed[1]} pixels are reduced to {longest} on the longer side (`size`)")
     numbers = np.arange(count)[frames]
     if not len(numbers):
-        raise UserError(f"--frames leaves nothing of the {count} frames of '{name}': choose a range inside 0:{count}")
+        raise UserError(f"`frames` leaves nothing of the {count} frames of '{name}': choose a range inside 0:{count}")
     if given is None:
         detection = options.detector(name, lambda: film.images(numbers), numbers, film.rate)
         chosen, masks, rate, notes = detection.landmarks, detection.mask_files, film.rate, notes + detection.notes
@@ -283,7 +283,7 @@ def _beside(path: Path, name: str, options: SourceOptions, alone: bool) -> tuple
     asked = options.landmarks is not None or options.masks is not None
     if options.detector is not None and not asked and not landmarks.is_file() and not masks.is_dir():
         return None
-    missing, option = (masks, "--masks DIR") if landmarks.is_file() else (landmarks, "--landmarks FILE")
+    missing, option = (masks, "`masks`") if landmarks.is_file() else (landmarks, "`landmarks`")
     raise UserError(
         f"{missing} is missing: give {option}; without landmarks and masks (both) they are found in the footage"
     )
@@ -328,7 +328,7 @@ def read_lenses(path: Path) -> dict[str, Lens]:
         entries = json.loads(path.read_text(encoding="utf-8"))
         items = list(entries.items())
     except FileNotFoundError:
-        raise UserError(f"{path} is missing: give the calibrated cameras with --cameras") from None
+        raise UserError(f"{path} is missing: give the calibrated cameras as `cameras`") from None
     except (json.JSONDecodeError, UnicodeDecodeError, AttributeError) as error:
         raise UserError(f"{path} is not a JSON object of cameras: {error}") from None
     lenses = {}

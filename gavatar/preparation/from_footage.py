@@ -70,7 +70,7 @@ def prepare(
                    "num_betas": num_betas})  # fmt: skip
     source, out = Path(source), Path(out)
     if out.exists() and not overwrite:
-        raise UserError(f"{out} exists: choose another folder, or replace it with --overwrite (overwrite=True)")
+        raise UserError(f"{out} exists: choose another folder, or let it be replaced with `overwrite`")
     load_plugins()
     body = body or BODIES.having(shipped=True)[0]
     fitted, options = split_node(dict(body) if isinstance(body, Mapping) else {"name": body})
@@ -83,7 +83,7 @@ def prepare(
         for sentence in (f"found {opened.description}", *(f"note: {note}" for note in opened.notes)):
             say(sentence)
         if fov is not None and opened.footage[0].lens is not None:
-            raise UserError("--fov is for an unknown camera, but cameras.json calibrates it: leave one of them out")
+            raise UserError("`fov` is for an unknown camera, but cameras.json calibrates it: leave one of them out")
         facts = CaptureFacts(
             name=name or out.resolve().name, license=license, source=f"gavatar-prepare {source.name}",
             body_model=BODIES.traits(fitted, options).capture_name or fitted, gender=options.get("gender", "neutral"),

@@ -101,7 +101,7 @@ def read_landmarks(path: str | os.PathLike) -> Landmarks:
         with np.load(path, allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
     except FileNotFoundError:
-        raise UserError(f"{path} is missing: give the landmarks with --landmarks FILE") from None
+        raise UserError(f"{path} is missing: give `landmarks`") from None
     except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
         raise UserError(f"{path} cannot be read as .npz landmarks: {error}") from None
     points = {}

@@ -53,7 +53,7 @@ def fit_and_write(
     names = [footage.name for footage in source.footage]
     if facts.holdout_camera is not None and (facts.holdout_camera not in names or len(names) < 2):
         raise UserError(
-            f"--holdout-camera {facts.holdout_camera}: "
+            f"`holdout_camera={facts.holdout_camera}`: "
             + (f"the cameras are {', '.join(names)}" if len(names) > 1 else "the only camera cannot be held out")
         )
     known = all(footage.lens is not None for footage in source.footage)
@@ -61,7 +61,7 @@ def fit_and_write(
     silhouettes = [prepare_silhouettes(f.masks(), f.size) for f in source.footage]
     landmarks = [f.landmarks for f in source.footage]
     if options is not None and options.refine_cameras and not known:
-        raise UserError("--refine-cameras is for calibrated cameras, but this camera is unknown: leave it out")
+        raise UserError("`refine_cameras` is for calibrated cameras, but this camera is unknown: leave it out")
     fit = BodyFitter(data, cameras, landmarks, silhouettes, source.fps, options).run(progress)
     if not known:
         fit, cameras = settle(data, fit, cameras)

@@ -3,9 +3,9 @@ help at once."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
-from gavatar_runtime.errors import UserError
+from gavatar_runtime.errors import WrongValue
 
 MOST_FRAMES, LARGEST = 200, 1024  # of raw video; pixels of the longer side
 FITTED_BETAS = 10  # official files have 16 or 300; beyond ten, one person's outline says next to nothing
@@ -19,9 +19,9 @@ RANGES = {
 }
 
 
-def check_numbers(values: Mapping[str, float | None], spelled: Callable[[str], str] = str) -> None:
-    """UserError for a number out of its range, named as `spelled` writes the setting."""
+def check_numbers(values: Mapping[str, float | None]) -> None:
+    """WrongValue for a number out of its range."""
     for name, value in values.items():
         low, high = RANGES[name]
         if value is not None and not low < value <= high:
-            raise UserError(f"{spelled(name)} {value:g} is out of range: give more than {low} and at most {high}")
+            raise WrongValue(f"`{name}={value:g}` is out of range: give more than {low} and at most {high}")

@@ -49,9 +49,9 @@ def new_folder(path: Path, overwrite: bool) -> Iterator[Path]:
     """
     if path.exists() or path.is_symlink():
         if not overwrite:
-            raise UserError(f"{path} exists: choose another folder, or replace it with --overwrite (overwrite=True)")
+            raise UserError(f"{path} exists: choose another folder, or let it be replaced with `overwrite`")
         if not path.is_dir() or (any(path.iterdir()) and not (path / "capture.json").is_file()):
-            raise UserError(f"{path} is no capture (no capture.json in it), so --overwrite will not delete it")
+            raise UserError(f"{path} is no capture (no capture.json in it), so `overwrite` will not delete it")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))

@@ -158,7 +158,7 @@ def test_exporting_writes_a_bundle_that_says_what_it_is(run, tmp_path):
     assert run.export(poses=2).path == run.directory / "tiny.gavatar"
     with pytest.raises(UserError, match=r"ends in \.gavatar"):
         run.export(tmp_path / "anna.zip")
-    with pytest.raises(UserError, match="poses=0"):
+    with pytest.raises(UserError, match=r"`poses=0`: give at least 1"):
         run.export(tmp_path / "other.gavatar", poses=0)
     assert not (tmp_path / "other.gavatar").exists()
 

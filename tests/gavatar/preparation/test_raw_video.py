@@ -124,10 +124,10 @@ def test_landmarks_without_masks_are_not_replaced_silently(tmp_path):
         DEMO / "images" / "cam0", tmp_path / "frames", ignore=lambda d, names: [n for n in names if n > "000002.jpg"]
     )
     (tmp_path / "masks").mkdir()
-    with pytest.raises(UserError, match=r"landmarks.npz is missing: give --landmarks"):
+    with pytest.raises(UserError, match=r"landmarks.npz is missing: give `landmarks`"):
         open_source(tmp_path, SourceOptions(detector=Detector(tmp_path / "work", progress=False)))
     (tmp_path / "masks").rmdir()
-    with pytest.raises(UserError, match="give --fps"):
+    with pytest.raises(UserError, match="give `fps`"):
         open_source(tmp_path, SourceOptions(detector=Detector(tmp_path / "work", progress=False)))
     source = open_source(tmp_path, SourceOptions(detector=Detector(tmp_path / "work", progress=False), fps=12.0))
     assert (len(source.footage[0].landmarks), source.fps) == (3, 12.0)
