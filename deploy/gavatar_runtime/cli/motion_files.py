@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UserError, exit_cleanly
+from ..errors import UserError, exit_cleanly, options_spelled
 
 if TYPE_CHECKING:
     from ..values.motion import HandParameters, Motion
@@ -57,13 +57,14 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
     from ..motions.source import motion_source
-    from .settings import parse_settings
+    from .settings import as_settings, parse_settings
 
     options = parse_settings([f"motion.{setting.removeprefix('motion.')}" for setting in arguments.set])["motion"]
     if arguments.rest:
         options["rest"] = arguments.rest
-    source = motion_source(arguments.motion, **options)
-    motion = source.load()
+    with options_spelled(as_settings("motion.")):
+        source = motion_source(arguments.motion, **options)
+        motion = source.load()
     if arguments.command == "info":
         values = {**describe(motion), "read_as": getattr(source, "facts", {}), "notes": list(motion.notes)}
         print(json.dumps(values, indent=1) if arguments.json else _table(values))

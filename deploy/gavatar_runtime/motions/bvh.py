@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from ..errors import UserError
+from ..errors import WrongValue
 from ..formats.bvh_file import Bvh, read_bvh
 from ..values.motion import Motion
 from .plausible import UNITS, asked_rate, stated_rate
@@ -40,7 +40,7 @@ class BvhFile:
     def __init__(self, config: BvhOptions, *, path: Path):
         for name, known in (("up", AXES), ("rest", RESTS), ("units", UNITS)):
             if getattr(config, name) not in known:
-                raise UserError(f"motion option {name}={getattr(config, name)}: choose from {', '.join(known)}")
+                raise WrongValue(f"`{name}={getattr(config, name)}`: choose from {', '.join(known)}")
         self.config, self.path = config, path
         self.rate = asked_rate(config.fps)
         self.facts: dict[str, str] = {}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import UserError
+from ..errors import UserError, WrongValue
 from ..formats.data_file import load_data
 from ..values.motion import Motion
 from .estimators import people_in
@@ -51,7 +51,7 @@ class FieldFile:
         asked_rate(config.fps)
         for name, known in (("units", UNITS), ("rotations", KINDS)):
             if getattr(config, name) not in known:
-                raise UserError(f"motion option {name}={getattr(config, name)}: choose from {', '.join(known)}")
+                raise WrongValue(f"`{name}={getattr(config, name)}`: choose from {', '.join(known)}")
         self.config, self.path = config, path
         self.facts: dict[str, str] = {}
 

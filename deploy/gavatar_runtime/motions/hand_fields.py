@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import Faults, UserError
+from ..errors import Faults, UserError, WrongValue
 from ..values.motion import HandParameters
 from .field_names import FLAT_KEY, HAND_KEYS, PCA_KEY, flat
 from .field_reader import FieldReader
@@ -29,7 +29,7 @@ class HandFields(FieldReader):
     ):  # fmt: skip
         for name, value, known in (("hands", hands, HANDS), ("hand_mean", hand_mean, HAND_MEANS)):
             if value not in known:
-                raise UserError(f"motion option {name}={value}: choose from {', '.join(known)}")
+                raise WrongValue(f"`{name}={value}`: choose from {', '.join(known)}")
         super().__init__(path, arrays, rotations)
         self.hands, self.hand_mean = hands, hand_mean
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import UserError
+from ..errors import UserError, WrongValue
 from ..values.skeletons import SKELETONS
 
 UNITS = {"auto": 0.0, "m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "ft": 0.3048}
@@ -21,7 +21,7 @@ FULL_TURN = 2 * np.pi
 def asked_rate(fps: Any) -> float:
     """Frames per second of the option fps, 0 for the file's own. UserError for what is no rate."""
     if isinstance(fps, bool) or not isinstance(fps, (int, float)) or not 0 <= fps < 1e6:
-        raise UserError(f"motion option fps={fps}: give a number of frames per second, 0 for the file's own")
+        raise WrongValue(f"`fps={fps}`: give a number of frames per second, 0 for the file's own")
     return float(fps)
 
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from ..errors import UserError
+from ..errors import WrongValue
 from ..geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from ..values.motion import Motion
 
@@ -24,7 +24,7 @@ Y_UP_FROM = {
 def check_up(up: str) -> None:
     """UserError unless `up` is auto or one of the axes of `Y_UP_FROM`."""
     if up not in ("auto", *Y_UP_FROM):
-        raise UserError(f"motion option up={up}: choose from auto, {', '.join(Y_UP_FROM)}")
+        raise WrongValue(f"`up={up}`: choose from auto, {', '.join(Y_UP_FROM)}")
 
 
 def vertical_axis(poses: np.ndarray) -> str:

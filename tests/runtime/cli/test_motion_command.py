@@ -60,7 +60,7 @@ def test_convert_to_a_smaller_skeleton_names_what_is_ignored(tmp_path, capsys):
     ("arguments", "message"),
     [
         (("info", "absent.npz"), "does not exist"),
-        (("info", "clip.bvh", "--set", "up=q"), "up=q"),
+        (("info", "clip.bvh", "--set", "up=q"), "--set motion.up=q: choose from"),
         (("info", "clip.bvh", "--set", "ups"), "expected"),
         (("convert", "clip.bvh", "-o", "a.bvh"), "suffix"),
         (("convert", "clip.bvh", "-o", "there.npz"), "exists"),

@@ -10,13 +10,12 @@ import zipfile
 import cv2
 import numpy as np
 import pytest
-from exit_codes import exit_code
+from commands import run_play
 from places import DEMO
 from plyfile import PlyData
 from video_frames import frames_of
 
 from gavatar_runtime.avatar.playing import Avatar
-from gavatar_runtime.cli.play import main
 from gavatar_runtime.cli.play_arguments import frame_slice
 from gavatar_runtime.motions import read_motion
 
@@ -28,7 +27,7 @@ def played(static, tmp_path):
     """`played(*arguments, out=NAME)` -> exit code, with small images and the stand-in."""
 
     def play_it(*arguments, out="out.mp4", bundle=static, size=("--size", 24)):
-        return exit_code(main, bundle, "--rasterizer", "dots", "--out", f"{tmp_path}/{out}", *size, *arguments)
+        return run_play(bundle, "--rasterizer", "dots", "--out", f"{tmp_path}/{out}", *size, *arguments)
 
     return play_it
 
@@ -86,7 +85,7 @@ def test_the_camera_of_a_capture_gives_its_own_size_or_the_one_asked_for(played,
 
 def test_by_default_the_video_lies_next_to_the_bundle(static, tmp_path):
     bundle = shutil.copy(static, tmp_path / "anna.gavatar")
-    assert exit_code(main, bundle, "--size", 16, "--frames", "0:2", "--rasterizer", "dots", "--quiet") == 0
+    assert run_play(bundle, "--size", 16, "--frames", "0:2", "--rasterizer", "dots", "--quiet") == 0
     assert (tmp_path / "anna_turn.mp4").exists()
 
 
@@ -136,7 +135,7 @@ def test_joints_that_the_body_lacks_are_reported(played, tmp_path, capsys):
 )
 def test_a_users_mistake_is_exit_code_2_and_one_sentence(static, tmp_path, monkeypatch, capsys, arguments, message):
     monkeypatch.chdir(tmp_path)
-    assert exit_code(main, static, "--rasterizer", "dots", "--frames", "0", *arguments) == 2
+    assert run_play(static, "--rasterizer", "dots", "--frames", "0", *arguments) == 2
     printed = capsys.readouterr()
     assert re.search(message, printed.err)
     assert "Traceback" not in printed.err
@@ -198,7 +197,7 @@ def test_an_output_may_be_chosen_by_name_and_has_a_place_of_its_own(static, tmp_
     bundle = shutil.copy(static, tmp_path / "anna.gavatar")
     for name, written in (("ply", "anna_turn.ply"), ("sheet", "anna_turn.png"), ("frames", "anna_turn")):
         arguments = ["--output", name, "--frames", "0", "--quiet"]
-        assert exit_code(main, bundle, "--rasterizer", "dots", "--size", 8, *arguments) == 0
+        assert run_play(bundle, "--rasterizer", "dots", "--size", 8, *arguments) == 0
         assert (tmp_path / written).exists()
 
 

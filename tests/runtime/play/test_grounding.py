@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bvh_rigs import MIXAMO, write_bvh
-from commands import run_motion as run
+from commands import run_motion, run_play
 from make_bundle import free_body, make_bundle
 from places import SHARED
 
 from gavatar_runtime.avatar.playing import Avatar
-from gavatar_runtime.cli.play import main as play
 from gavatar_runtime.motions import read_motion
 from gavatar_runtime.play.grounding import grounded, lowest_points
 from gavatar_runtime.values.motion import Motion
@@ -61,10 +60,10 @@ def test_a_person_on_the_back_lies_on_the_floor(avatar):
 def test_the_command_converts_for_an_avatar_and_grounds(bundle, avatar, tmp_path, capsys):
     root = np.stack([np.zeros(8), np.full(8, 250.0), np.zeros(8)], 1)
     write_bvh(tmp_path / "a.bvh", np.zeros((8, len(MIXAMO), 3)), root)
-    assert run("convert", tmp_path / "a.bvh", "-o", tmp_path / "a.npz", "--ground") == 2
+    assert run_motion("convert", tmp_path / "a.bvh", "-o", tmp_path / "a.npz", "--ground") == 2
     assert "--ground needs --on AVATAR" in capsys.readouterr().err
-    assert run("convert", tmp_path / "a.bvh", "-o", tmp_path / "a.npz", "--on", bundle, "--joints", "smpl") == 2
-    assert run("convert", tmp_path / "a.bvh", "-o", tmp_path / "a.npz", "--on", bundle, "--ground") == 0
+    assert run_motion("convert", tmp_path / "a.bvh", "-o", tmp_path / "a.npz", "--on", bundle, "--joints", "smpl") == 2
+    assert run_motion("convert", tmp_path / "a.bvh", "-o", tmp_path / "a.npz", "--on", bundle, "--ground") == 0
     assert "on the floor" in capsys.readouterr().out
     motion, ignored = avatar.fit(read_motion(tmp_path / "a.npz", up="y"))
     assert ignored == ()
@@ -73,13 +72,9 @@ def test_the_command_converts_for_an_avatar_and_grounds(bundle, avatar, tmp_path
 
 def test_the_player_takes_both_options(bundle, tmp_path):
     write_bvh(tmp_path / "a.bvh", np.zeros((2, len(MIXAMO), 3)), np.zeros((2, 3)))
-    arguments = ["--out", str(tmp_path / "s.png"), "--size", "48", "--rasterizer", "numpy", "--quiet"]
-    with pytest.raises(SystemExit) as done:
-        play([str(bundle), "--motion", str(tmp_path / "a.bvh"), "--rest", "first-frame", "--ground", *arguments])
-    assert done.value.code == 0
-    with pytest.raises(SystemExit) as done:
-        play([str(bundle), "--motion", "turn", "--rest", "first-frame", *arguments])
-    assert done.value.code == 2
+    arguments = ["--rest", "first-frame", "--out", tmp_path / "s.png", "--size", 48, "--rasterizer", "numpy", "--quiet"]
+    assert run_play(bundle, "--motion", tmp_path / "a.bvh", "--ground", *arguments) == 0
+    assert run_play(bundle, "--motion", "turn", *arguments) == 2
 
 
 @pytest.mark.shared

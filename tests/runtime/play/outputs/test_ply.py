@@ -40,7 +40,18 @@ def some(count: int = 7, seed: int = 0, dtype=np.float32, **fields) -> Gaussians
     return Gaussians(**{name: None if v is None else np.asarray(v).astype(dtype) for name, v in values.items()})
 
 
-def read(path: Path) -> Gaussians:
+@dataclasses.dataclass
+class Read:
+    """float64: means (N, 3), scales (N, 3), colors (N, 3), opacities (N,), rotations (N, 3, 3)."""
+
+    means: np.ndarray
+    scales: np.ndarray
+    colors: np.ndarray
+    opacities: np.ndarray
+    rotations: np.ndarray
+
+
+def read(path: Path) -> Read:
     """What 3DGS makes of a file (its `load_ply` and activations), turned back into a world whose y is up."""
     vertices = PlyData.read(str(path))["vertex"]
 
@@ -48,14 +59,13 @@ def read(path: Path) -> Gaussians:
         return np.stack([np.asarray(vertices[name], np.float64) for name in names], -1)
 
     rotations = matrix_from_quaternion(columns("rot_0", "rot_1", "rot_2", "rot_3"))
-    read = Gaussians(
+    return Read(
         means=columns("x", "y", "z") @ HALF_TURN,
         scales=np.exp(columns("scale_0", "scale_1", "scale_2")),
         colors=0.5 + C0 * columns("f_dc_0", "f_dc_1", "f_dc_2"),
         opacities=1 / (1 + np.exp(-columns("opacity")[:, 0])),
+        rotations=HALF_TURN @ rotations,
     )
-    read.rotations = HALF_TURN @ rotations
-    return read
 
 
 def covariances(scales: np.ndarray, rotations: np.ndarray | None = None) -> np.ndarray:
@@ -95,7 +105,7 @@ def test_round_gaussians_come_back(tmp_path_factory, count, seed, dtype, opaque)
     given = some(count, seed, dtype, opacities=opacities)
     save_gaussians(path, given)
     got = read(path)
-    assert len(got) == count
+    assert len(got.means) == count
     np.testing.assert_allclose(got.means, given.means, **CLOSE)
     np.testing.assert_allclose(got.colors, given.colors, **CLOSE)
     np.testing.assert_allclose(got.scales, np.repeat(given.scales[:, None], 3, 1), **CLOSE)
