@@ -110,10 +110,13 @@ def directions(places, name, following):
     return bone / np.linalg.norm(bone, axis=-1, keepdims=True)
 
 
-def zxy_degrees(R):
+def zxy_degrees(R: np.ndarray) -> np.ndarray:
     """(..., 3) angles about Z, X and Y, applied in that order about the turned axes, of rotations (..., 3, 3)."""
     z, x = np.arctan2(-R[..., 0, 1], R[..., 1, 1]), np.arcsin(np.clip(R[..., 2, 1], -1, 1))
-    return np.degrees(np.stack([z, x, np.arctan2(-R[..., 2, 0], R[..., 2, 2])], -1))
+    y = np.arctan2(-R[..., 2, 0], R[..., 2, 2])
+    locked = np.abs(R[..., 2, 1]) > 1 - 1e-12  # z and y turn about one axis: all of it is z
+    z, y = np.where(locked, np.arctan2(R[..., 1, 0], R[..., 0, 0]), z), np.where(locked, 0, y)
+    return np.degrees(np.stack([z, x, y], -1))
 
 
 def reaxed(bvh: Bvh, S: np.ndarray) -> Bvh:
@@ -126,6 +129,13 @@ def reaxed(bvh: Bvh, S: np.ndarray) -> Bvh:
             local[:, j] = np.swapaxes(world[:, parent], -1, -2) @ world[:, j]
             offsets[j] = S[parent].T @ bvh.offsets[j]
     return dataclasses.replace(bvh, rotations=local, offsets=offsets, tips=np.einsum("jba,jb->ja", S, bvh.tips))
+
+
+def in_world(bvh: Bvh, turn: np.ndarray) -> Bvh:
+    """The same motion in a world turned by (3, 3), the OFFSETs as they are."""
+    rotations = bvh.rotations.copy()
+    rotations[:, 0] = turn @ rotations[:, 0]
+    return dataclasses.replace(bvh, rotations=rotations, root=bvh.root @ turn.T)
 
 
 def scrambled(bvh: Bvh, seed: int = 0) -> Bvh:

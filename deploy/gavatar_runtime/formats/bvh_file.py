@@ -279,9 +279,8 @@ class _Parser:
 
 def _moves(places: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """(T, 3) relative to the parent from position channels (T, 3). Most exporters write the place, some what is to be
-    added to the OFFSET: told by the axis that moves least for its OFFSET."""
-    steady = np.abs(offset) / (np.ptp(places, axis=0) + 1e-9)
-    axis = int(np.argmax(steady))
-    middle = np.median(places[:, axis])
-    adds = steady[axis] > 2 and abs(middle) < abs(middle - offset[axis])
+    added to the OFFSET: told by the axes that move little for their OFFSET, which then all lie nearer to zero."""
+    steady = np.abs(offset) > 2 * np.ptp(places, axis=0) + 1e-9
+    middle = np.median(places, axis=0)
+    adds = steady.any() and (np.abs(middle) < np.abs(middle - offset))[steady].all()
     return places + offset if adds else places

@@ -236,7 +236,11 @@ def _reconstructor(cls: Any, base: Any = None, state: Any = None) -> Any:
     """copyreg._reconstructor for the classes of this module."""
     if not (isinstance(cls, type) and issubclass(cls, Held)):
         raise Refused("copyreg._reconstructor of a class that is not data")
-    return cls()
+    made = cls()
+    if isinstance(made, Unknown):  # of a kind of dictionary or list
+        made.items.update(state if isinstance(state, dict) else {})
+        made.entries.extend(state if isinstance(state, list) else [])
+    return made
 
 
 def _encode(text: str, encoding: str = "latin1") -> bytes:
@@ -282,6 +286,9 @@ def _table() -> dict[tuple[str, str], Any]:
 TABLE = types.MappingProxyType(_table())
 
 
+_UNDER_WAY = object()
+
+
 class PlainReader:
     """Makes plain values: every held object becomes what it stands for, what is shared stays shared.
 
@@ -293,11 +300,13 @@ class PlainReader:
 
     def __call__(self, value: Any, depth: int = 0) -> Any:
         if depth > _DEEPEST:
-            return self._fault(ValueError("nested too deeply, or in a circle"))
+            return self._fault(ValueError("nested too deeply"))
         if isinstance(value, (Held, dict, list, tuple, set, frozenset)):
             if id(value) not in self._known:
-                self._known[id(value)] = value, self._made(value, depth + 1)  # the value too: its id stays its own
-            return self._known[id(value)][1]
+                self._known[id(value)] = value, _UNDER_WAY  # the value too: its id stays its own
+                self._known[id(value)] = value, self._made(value, depth + 1)
+            made = self._known[id(value)][1]
+            return self._fault(ValueError("it holds itself")) if made is _UNDER_WAY else made
         if isinstance(value, type) and issubclass(value, Unknown):
             return self._fault(ValueError(not_data(value.name).why))
         if isinstance(value, type) or callable(value) or isinstance(value, _Object):

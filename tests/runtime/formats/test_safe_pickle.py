@@ -18,6 +18,7 @@ from fake_chumpy import Ch, Select, python2_pickle
 
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.formats.numpy_file import load_npz
+from gavatar_runtime.formats.pickled_values import Unread
 from gavatar_runtime.formats.safe_pickle import load_pickle, loads
 
 PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
@@ -248,3 +249,86 @@ def test_npz_members_that_are_pickles_are_read_by_the_same_rules(tmp_path):
         load_npz(path)
     with pytest.raises(UserError, match="cannot be read"):
         load_npz(tmp_path / "absent.npz")
+
+
+def test_dictionaries_with_an_order_or_a_default_are_dictionaries():
+    content = collections.defaultdict(list, {1: [2.5]})
+    nested = collections.OrderedDict(a=content, b=collections.defaultdict(None, {"x": np.ones(2)}))
+    for protocol in PROTOCOLS:
+        got = loads(pickle.dumps(nested, protocol))
+        assert type(got) is type(got["a"]) is dict
+        assert got["a"] == {1: [2.5]}
+        np.testing.assert_array_equal(got["b"]["x"], np.ones(2))
+    assert loads(pickle.dumps(collections.defaultdict(dict))) == {}
+
+
+class Settings(dict):
+    """A kind of dictionary that a pose estimator may have of its own."""
+
+
+class Tracks(list):
+    """A kind of list."""
+
+
+class Record:
+    """Attributes."""
+
+    def __init__(self, **values):
+        self.__dict__ |= values
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_objects_of_unknown_kinds_do_not_spoil_a_file_for_a_lenient_reader(protocol):
+    content = {
+        "poses": np.ones(3), "settings": Settings(a=1), "tracks": Tracks([1, 2]), "record": Record(x=np.zeros(2)),
+        "nothing": Record(), "kind": Settings, "list": [Record(), 5],
+    }  # fmt: skip
+    data = pickle.dumps(content, protocol)
+    with pytest.raises(UserError, match="not data"):
+        loads(data)
+    got = loads(data, lenient=True)
+    np.testing.assert_array_equal(got["poses"], np.ones(3))
+    assert (got["settings"], got["tracks"], got["list"][1]) == ({"a": 1}, [1, 2], 5)
+    np.testing.assert_array_equal(got["record"]["x"], np.zeros(2))
+    for key in ("nothing", "kind"):
+        assert isinstance(got[key], Unread)
+        assert "which is not data" in got[key].why
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("name", marker_calls(""))
+def test_no_call_goes_through_a_lenient_reader_either(name, protocol, tmp_path):
+    mark = tmp_path / "ran"
+    data = pickle.dumps({"v": marker_calls(str(mark))[name]}, protocol)
+    if name == "numpy.load":  # inert: kept as something unread
+        assert isinstance(loads(data, lenient=True)["v"], Unread)
+    else:
+        with pytest.raises(UserError, match="not data"):
+            loads(data, lenient=True)
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize("name", {**HOSTILE_STREAMS, **DAMAGED_STREAMS})
+def test_hostile_and_damaged_streams_end_soon_for_a_lenient_reader(name):
+    start = time.monotonic()
+    with contextlib.suppress(UserError):
+        loads({**HOSTILE_STREAMS, **DAMAGED_STREAMS}[name], lenient=True)
+    assert time.monotonic() - start < 5
+
+
+def test_a_list_that_holds_itself_twice_ends_soon():
+    circle: list = []
+    circle += [circle, circle, 1]
+    got = loads(pickle.dumps({"circle": circle, "poses": 2}), lenient=True)
+    assert got["poses"] == 2
+    assert got["circle"][2] == 1
+    assert isinstance(got["circle"][0], Unread)
+
+
+def test_an_unreadable_member_of_an_npz_is_left_unread_by_a_lenient_reader(tmp_path):
+    np.savez(tmp_path / "a.npz", good=np.ones(2), odd=np.array(Record(), object), row=np.zeros(2, [("x", float)]))
+    got = load_npz(tmp_path / "a.npz", lenient=True)
+    np.testing.assert_array_equal(got["good"], np.ones(2))
+    assert isinstance(got["odd"], Unread)
+    np.savez(tmp_path / "b.npz", good=np.ones(2), bad=np.array(Calls(os.system, "true"), object))
+    assert "nothing ran" in load_npz(tmp_path / "b.npz", lenient=True)["bad"].why

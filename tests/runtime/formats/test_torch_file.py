@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import pickle
+from pathlib import Path
+
 import numpy as np
 import places
 import pytest
 import torch
 
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.formats.numpy_file import load_npy
+from gavatar_runtime.formats.safe_pickle import load_pickle
 from gavatar_runtime.formats.torch_file import load_torch
 from gavatar_runtime.motions import read_motion
 
@@ -50,3 +55,49 @@ def test_the_upstream_test_pose_reads_as_torch_reads_it():
     mine, theirs = load_torch(path), torch.load(path, weights_only=True)
     for key, value in theirs.items():
         np.testing.assert_array_equal(mine[key], value.numpy())
+
+
+def test_bfloat16_becomes_float32_of_the_same_value(tmp_path):
+    values = torch.tensor([1.0, -2.5, 3e38, 1e-40, float("nan"), float("inf")]).to(torch.bfloat16)
+    torch.save({"a": values, "part": values[1:3]}, tmp_path / "a.pt")
+    mine = load_torch(tmp_path / "a.pt")
+    np.testing.assert_array_equal(mine["a"], values.float().numpy())
+    np.testing.assert_array_equal(mine["part"], values[1:3].float().numpy())
+    assert mine["a"].dtype == np.float32
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16, torch.int64, torch.bool])
+def test_the_format_of_old_and_tensors_in_a_plain_pickle_are_read(tmp_path, dtype):
+    whole = (torch.arange(24).reshape(4, 6) % 2 if dtype == torch.bool else torch.arange(24).reshape(4, 6)).to(dtype)
+    content = {"whole": whole, "transposed": whole.T, "part": whole[1:3, ::2], "again": whole, "none": whole[:0]}
+    expected = {key: (v.float() if dtype == torch.bfloat16 else v).numpy() for key, v in content.items()}
+    torch.save(content, tmp_path / "old.pth", _use_new_zipfile_serialization=False)
+    (tmp_path / "plain.pkl").write_bytes(pickle.dumps(content))
+    np.save(tmp_path / "a.npy", content, allow_pickle=True)  # as TRAM does
+    for mine in (load_torch(tmp_path / "old.pth"), load_pickle(tmp_path / "plain.pkl"), load_npy(tmp_path / "a.npy")):
+        for key, value in expected.items():
+            np.testing.assert_array_equal(mine[key], value, err_msg=key)
+
+
+def test_a_state_dict_with_its_version_is_read(tmp_path):
+    layer = torch.nn.Linear(2, 3)
+    torch.save(layer.state_dict(), tmp_path / "a.pth")
+    mine = load_torch(tmp_path / "a.pth")
+    np.testing.assert_array_equal(mine["weight"], layer.weight.detach().numpy())
+
+
+def test_members_of_unknown_kinds_do_not_spoil_a_file_of_tensors(tmp_path):
+    content = {"poses": torch.ones(2), "device": torch.device("cpu"), "dtype": torch.float32, "path": Path("x")}
+    torch.save(content, tmp_path / "a.pt")
+    with pytest.raises(UserError, match=r"a\.pt asks for"):
+        load_torch(tmp_path / "a.pt")
+    np.testing.assert_array_equal(load_torch(tmp_path / "a.pt", lenient=True)["poses"], np.ones(2))
+
+
+def test_cut_storages_of_old_files_are_refused(tmp_path):
+    torch.save({"a": torch.ones(40)}, tmp_path / "a.pth", _use_new_zipfile_serialization=False)
+    whole = (tmp_path / "a.pth").read_bytes()
+    for length in (len(whole) - 1, len(whole) - 170, 60, 20):
+        (tmp_path / "a.pth").write_bytes(whole[:length])
+        with pytest.raises(UserError, match=r"a\.pth is not a readable file of tensors"):
+            load_torch(tmp_path / "a.pth")
