@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable
@@ -25,6 +26,7 @@ _DAMAGED = (
     RuntimeError,
     NotImplementedError,
     SyntaxError,
+    tokenize.TokenError,
 )
 
 
@@ -61,7 +63,7 @@ def _member(file: zipfile.ZipFile, name: str, source: str, lenient: bool) -> Any
     data = file.read(f"{name}.npy")
     try:
         return _npy(data, source, lenient)
-    except (UserError, ValueError, EOFError, SyntaxError) as error:
+    except (UserError, *_DAMAGED) as error:
         if not lenient:
             raise
         return Unread(f"cannot be read ({next(iter(str(error).splitlines()), '')})")

@@ -36,17 +36,8 @@ def write(path, kind):
 
 
 KINDS = (
-    "npz",
-    "npy",
-    "torch",
-    "torch of old",
-    "joblib",
-    "joblib compressed",
-    "json",
-    "pickle 0",
-    "pickle 2",
-    "pickle 4",
-)
+    "npz", "npy", "torch", "torch of old", "joblib", "joblib compressed", "json", "pickle 0", "pickle 2", "pickle 4",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", KINDS)
