@@ -106,7 +106,7 @@ def check_overrides(arguments: Sequence[str]) -> list[DictConfig]:
 def _check_choice(group: str, name: str) -> None:
     """UserError with the choices and the nearest where `name` is no component, and no preset, of a group."""
     folder = importlib.resources.files("gavatar.conf") / group
-    if not PLAIN.fullmatch(group) or (folder / f"{name}.yaml").is_file():
+    if not PLAIN.fullmatch(group) or name.startswith("{") or (folder / f"{name}.yaml").is_file():
         return
     if group in REGISTERED:
         REGISTERED[group][name]

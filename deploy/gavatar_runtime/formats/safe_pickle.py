@@ -27,6 +27,8 @@ _HARMLESS = {
     "argparse", "array", "collections", "dataclasses", "datetime", "decimal", "enum", "fractions", "functools",
     "pathlib", "random", "types", "typing", "uuid", "zoneinfo",
 }  # fmt: skip
+# what other formats add to the names that a pickle may ask for: tensors, by `torch_file`
+FURTHER: dict[tuple[str, str], Any] = {}
 _RUNNING = {*sys.stdlib_module_names, "__builtin__", "exceptions", "commands"} - _HARMLESS
 
 
@@ -72,9 +74,7 @@ class Machine(pickle._Unpickler):
         self._lenient = lenient
 
     def find_class(self, module: str, name: str) -> Any:
-        from .torch_file import TENSORS  # which has this module's machine
-
-        for table in (TABLE, TENSORS):
+        for table in (TABLE, FURTHER):
             try:
                 return table[module, name]
             except (KeyError, TypeError):

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..errors import UserError
 from .pickled_values import Held, Plain, PlainReader, Refused
-from .safe_pickle import Machine, cause
+from .safe_pickle import FURTHER, Machine, cause
 
 _STORAGES = {
     "FloatStorage": "<f4", "DoubleStorage": "<f8", "HalfStorage": "<f2", "LongStorage": "<i8", "IntStorage": "<i4",
@@ -181,6 +181,7 @@ TENSORS = types.MappingProxyType(
         ("torch", "Size"): _size,
     }
 )
+FURTHER.update(TENSORS)
 
 
 class _TorchMachine(Machine):
