@@ -26,7 +26,7 @@ help:
 setup: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt $(wildcard setup.py deploy/native/*) \
-    deploy/gavatar_runtime/render/rasterizers/rules.py
+    deploy/gavatar_runtime/splatting_rule.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo 'error: constraints.txt needs Python 3.11 or later: set PYTHON=python3.11' >&2; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

@@ -20,7 +20,7 @@ from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
 
 SOURCES = Path("deploy", "native")
-RULES = Path("deploy", "gavatar_runtime", "render", "rasterizers", "rules.py")
+RULES = Path("deploy", "gavatar_runtime", "splatting_rule.py")
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 # never -ffast-math: loading a library linked with it changes the denormal handling of the whole process
 FLAGS = [

@@ -76,7 +76,7 @@ class Rasterizer(Protocol):
         return False
 
     def __call__(self, gaussians: Gaussians, camera: Camera, background: Background = (1.0, 1.0, 1.0)) -> Rendering:
-        """The frame, as `gavatar_runtime.render.rasterizers.rules` says, in tensors of the Gaussians' dtype and device.
+        """The frame, as `gavatar_runtime.splatting_rule` says, in tensors of the Gaussians' dtype and device.
         The fields of the Gaussians are of one floating dtype on one device. background: (3,) in [0, 1]. UserError for
         tensors that it does not draw."""
         raise NotImplementedError

@@ -18,9 +18,9 @@ from .version import __version__
 
 if TYPE_CHECKING:
     from .errors import UserError
-    from .face import Avatar, load
     from .motions import read_motion
     from .play.outputs import open_output
+    from .player_face import Avatar, load
     from .render.renderer import Renderer
     from .values.camera import Camera, look_at
     from .values.gaussians import Gaussians, Rendering
@@ -32,14 +32,14 @@ __all__ = [
 ]  # fmt: skip
 
 _HOME = {
-    "Avatar": "face",
+    "Avatar": "player_face",
     "Camera": "values.camera",
     "Gaussians": "values.gaussians",
     "Motion": "values.motion",
     "Renderer": "render.renderer",
     "Rendering": "values.gaussians",
     "UserError": "errors",
-    "load": "face",
+    "load": "player_face",
     "look_at": "values.camera",
     "open_output": "play.outputs",
     "read_motion": "motions",

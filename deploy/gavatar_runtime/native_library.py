@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from . import splatting_rule as rules
 from .errors import UserError
-from .render.rasterizers import rules
 
 ABI_VERSION = 4
 LIBRARY = Path(__file__).with_name("_gavatar_native" + {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so"))

@@ -1,7 +1,7 @@
 // The C interface of gavatar's native kernel:
 //
 // - exact Gaussian splatting, forward and backward (gv_forward, gv_backward), by the rule of
-//   gavatar_runtime/render/rasterizers/rules.py, and a frame (gv_frame_*) that holds what is kept
+//   gavatar_runtime/splatting_rule.py, and a frame (gv_frame_*) that holds what is kept
 //   from one to the other;
 // - linear blend skinning with its gradients, and attributes of Gaussians from blendshapes or by
 //   upsampling;

@@ -11,7 +11,7 @@ from gavatar_runtime.cli.settings import as_flags
 from gavatar_runtime.errors import UserError, exit_cleanly, options_spelled, spelled
 
 from ..optional import requires_extra
-from ..preparation.settings import FITTED_BETAS, LARGEST, MOST_FRAMES
+from ..preparation.fit_settings import FITTED_BETAS, LARGEST, MOST_FRAMES
 
 DESCRIPTION = "Find the person in a video, fit the body, write a capture that gavatar-train reads."
 EPILOG = """SOURCE is a video of one person before a camera that stands still, or a folder that holds one of

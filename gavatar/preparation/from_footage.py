@@ -15,10 +15,10 @@ from gavatar_runtime.errors import UserError
 from ..registry import BODIES, load_plugins, split_node
 from .detect import Detector
 from .fit import FitOptions
+from .fit_settings import FITTED_BETAS, LARGEST, MOST_FRAMES, check_numbers
 from .footage_source import SourceOptions, open_source
 from .initial import DEFAULT_FOV
 from .pipeline import Quality, fit_and_write
-from .settings import FITTED_BETAS, LARGEST, MOST_FRAMES, check_numbers
 from .write import CaptureFacts
 
 PathLike = str | os.PathLike[str]

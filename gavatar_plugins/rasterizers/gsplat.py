@@ -15,7 +15,7 @@ from gavatar.optional import import_from_extra
 from gavatar.protocols import Background, Rasterizer
 from gavatar.registry import RASTERIZERS, RasterizerTraits
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.render.rasterizers.rules import LOW_PASS, NEAR
+from gavatar_runtime.splatting_rule import LOW_PASS, NEAR
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.gaussians import Gaussians, Rendering
 
@@ -59,7 +59,7 @@ def _missing() -> str:
 class GsplatRasterizer(Rasterizer):
     """Splatting of float32 CUDA tensors, with gradients to every field and to the background.
 
-    `rasterizer(gaussians, camera, background) -> Rendering`, as `gavatar_runtime.render.rasterizers.rules` says, but
+    `rasterizer(gaussians, camera, background) -> Rendering`, as `gavatar_runtime.splatting_rule` says, but
     for what is fixed in gsplat's kernels (gsplat 1.5.3, `RasterizeToPixels3DGS{Fwd,Bwd}.cu`, `Utils.cuh`):
 
     - alpha is clamped at 0.999, not at ALPHA_MAX, and a clamped alpha passes no gradient to the geometry and opacity

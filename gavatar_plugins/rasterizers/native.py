@@ -48,7 +48,7 @@ def _traits(config: NativeRasterizerConfig) -> RasterizerTraits:
 class NativeRasterizer(Rasterizer):
     """Exact splatting of float32 CPU tensors, with gradients to every field and to the background.
 
-    `rasterizer(gaussians, camera, background) -> Rendering`, following `gavatar_runtime.render.rasterizers.rules`.
+    `rasterizer(gaussians, camera, background) -> Rendering`, following `gavatar_runtime.splatting_rule`.
     Results and
     gradients are the same to the last bit whatever the number of threads. Raises UserError for float64 or CUDA
     tensors, which rasterizer=torch takes, and where the kernel was not compiled.

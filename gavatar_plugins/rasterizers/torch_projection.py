@@ -1,6 +1,6 @@
 """Projection of Gaussians to screen ellipses in torch, differentiable by ordinary autograd.
 
-The first half of the rasterizer `torch` (`torch_tiles`), following `gavatar_runtime.render.rasterizers.rules`.
+The first half of the rasterizer `torch` (`torch_tiles`), following `gavatar_runtime.splatting_rule`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.render.rasterizers.rules import ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS, NEAR
+from gavatar_runtime.splatting_rule import ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS, NEAR
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.gaussians import Gaussians
 

@@ -1,4 +1,4 @@
-"""The differentiable reference rasterizer in plain torch: exact to `gavatar_runtime.render.rasterizers.rules`, any
+"""The differentiable reference rasterizer in plain torch: exact to `gavatar_runtime.splatting_rule`, any
 device.
 
 A frame goes through four steps:
@@ -31,7 +31,7 @@ from torch.autograd.function import once_differentiable
 from gavatar.protocols import Background, Rasterizer
 from gavatar.registry import RASTERIZERS
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.render.rasterizers.rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_STOP
+from gavatar_runtime.splatting_rule import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_STOP
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.gaussians import Gaussians, Rendering
 

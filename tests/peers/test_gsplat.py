@@ -16,7 +16,7 @@ from gavatar.registry import RASTERIZERS
 from gavatar_plugins.rasterizers import gsplat as plugin
 from gavatar_plugins.rasterizers.torch_projection import project
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.render.rasterizers.rules import ALPHA_MIN, LOW_PASS, NEAR, TRANSMITTANCE_STOP
+from gavatar_runtime.splatting_rule import ALPHA_MIN, LOW_PASS, NEAR, TRANSMITTANCE_STOP
 from gavatar_runtime.values.camera import look_at
 from gavatar_runtime.values.gaussians import Gaussians
 

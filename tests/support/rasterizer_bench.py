@@ -17,7 +17,7 @@ from splat_scenes import as_torch
 
 from gavatar.registry import RASTERIZERS, load_plugins
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.render.rasterizers.rules import ALPHA_MAX
+from gavatar_runtime.splatting_rule import ALPHA_MAX
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.gaussians import Gaussians, Rendering
 

@@ -7,14 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gavatar_runtime.render.rasterizers.rules import (
-    ALPHA_MAX,
-    ALPHA_MIN,
-    FRUSTUM_MARGIN,
-    LOW_PASS,
-    NEAR,
-    TRANSMITTANCE_STOP,
-)
+from gavatar_runtime.splatting_rule import ALPHA_MAX, ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS, NEAR, TRANSMITTANCE_STOP
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.gaussians import Gaussians, Rendering
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from ..errors import WrongValue
 from ..formats.bvh_file import Bvh, read_bvh
+from ..rigs.rest_pose import RESTS, with_rest_pose
+from ..rigs.retarget import missing_limbs, retarget
+from ..rigs.rig_names import match_rig, pelvis_of, read_mapping
 from ..values.motion import Motion
 from .plausible import UNITS, asked_rate, stated_rate
-from .rest_pose import RESTS, with_rest_pose
-from .retarget import missing_limbs, retarget
-from .rig_names import match_rig, pelvis_of, read_mapping
 from .source import MOTIONS
 
 AXES = ("auto", "x", "y", "z", "-x", "-y", "-z")

@@ -11,7 +11,7 @@ from ..avatar.played import PlayedAvatar
 from ..geometry.rotations import matrix_from_axis_angle
 from ..geometry.skinning import skin
 from ..geometry.spacing import evenly_spaced
-from ..render.rasterizers.rules import NEAR
+from ..splatting_rule import NEAR
 from ..values.camera import Camera, look_at
 from ..values.motion import Motion
 

@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 
+from ..splatting_rule import LOW_PASS
 from ..values.camera import Camera
 from ..values.gaussians import Gaussians
-from .rasterizers.rules import LOW_PASS
 
 
 def as_trained(gaussians: Gaussians, camera: Camera, pixel: float | None) -> Gaussians:

@@ -9,7 +9,7 @@ import pytest
 from rasterizer_bench import check, every, judge
 from splat_scenes import FIELDS, map_fields, random_scene, select, simple_camera
 
-from gavatar_runtime.render.rasterizers.rules import NEAR
+from gavatar_runtime.splatting_rule import NEAR
 from gavatar_runtime.values.gaussians import Gaussians, Rendering
 
 

@@ -15,7 +15,7 @@ from gavatar_runtime.formats.bvh_file import read_bvh
 from gavatar_runtime.geometry.kinematics import joint_transforms
 from gavatar_runtime.motions import read_motion
 from gavatar_runtime.motions.fitting import scaled_to_legs
-from gavatar_runtime.motions.rig_names import match_rig, split_name
+from gavatar_runtime.rigs.rig_names import match_rig, split_name
 from gavatar_runtime.values.skeletons import SMPLH
 
 

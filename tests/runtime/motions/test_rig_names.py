@@ -8,7 +8,7 @@ from bvh_rigs import MIXAMO, random_angles, write_bvh
 
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motions import read_motion
-from gavatar_runtime.motions.rig_names import bare_names, match_rig, split_name
+from gavatar_runtime.rigs.rig_names import bare_names, match_rig, split_name
 
 PARTS = {
     "hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "foot": "ToeBase", "collar": "Shoulder", "shoulder": "Arm",

@@ -29,7 +29,7 @@ from gavatar_runtime.geometry.skinning import skin, skin_gradients
 from gavatar_runtime.render.choice import player_rasterizers
 from gavatar_runtime.render.rasterizers.native import NativeConfig, resize
 from gavatar_runtime.render.rasterizers.native import NativeRasterizer as Player
-from gavatar_runtime.render.rasterizers.rules import LOW_PASS
+from gavatar_runtime.splatting_rule import LOW_PASS
 from gavatar_runtime.values.gaussians import Gaussians
 
 built = pytest.mark.skipif(not nl.available()[0], reason=f"native kernel: {nl.available()[1]}")

@@ -36,7 +36,7 @@ class NativeConfig(NativeOptions):
     ),
 )
 class NativeRasterizer(Rasterizer):
-    """Exact splatting of NumPy arrays on the CPU, following `rasterizers.rules`.
+    """Exact splatting of NumPy arrays on the CPU, following `splatting_rule`.
 
     The images of a Rendering are buffers that the next call with the same image size fills again: copy what is to be
     kept. Arrays that are not float32 and contiguous are converted on every call. Raises UserError where the kernel was

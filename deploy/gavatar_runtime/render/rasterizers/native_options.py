@@ -8,8 +8,8 @@ from collections.abc import Iterable
 
 from ... import native_library as nl
 from ...errors import WrongValue
+from ...splatting_rule import TRANSMITTANCE_STOP
 from ...values.camera import Camera
-from .rules import TRANSMITTANCE_STOP
 
 FAST_BLOCK_STOP = 4e-3  # transmittance: what is left to come moves a color by at most half a step of eight bits
 

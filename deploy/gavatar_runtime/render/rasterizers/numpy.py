@@ -9,10 +9,10 @@ from time import perf_counter
 import numpy as np
 
 from ...geometry.rotations import matrix_from_quaternion
+from ...splatting_rule import ALPHA_MAX, ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS, NEAR, TRANSMITTANCE_STOP
 from ...values.camera import Camera
 from ...values.gaussians import Gaussians, Rendering
 from . import PLAYER_RASTERIZERS, WHITE, Rasterizer, RasterizerTraits
-from .rules import ALPHA_MAX, ALPHA_MIN, FRUSTUM_MARGIN, LOW_PASS, NEAR, TRANSMITTANCE_STOP
 
 TILE = 8  # pixels; small tiles waste few pairs of pixel and Gaussian
 CHUNK = 64  # Gaussians blended at once, so that a saturated tile stops early

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import UserError
 from ..formats.bvh_file import Bvh
-from .anatomy import facing_ahead, imagined_stance
+from .rig_anatomy import facing_ahead, imagined_stance
 
 RESTS = ("auto", "offsets", "first-frame", "anatomy")
 _SIDES = ("left", "right")
