@@ -53,7 +53,12 @@ WORDS = {
     ("gavatar/preparation/fit.py", "offset"): "a term of the fit",
     ("gavatar/training/plan.py", "auto"): AUTO,
     ("gavatar/training/precision.py", "auto"): AUTO,
-    ("deploy/gavatar_runtime/formats/safe_pickle.py", "numpy"): "the package",
+    ("deploy/gavatar_runtime/avatar/adaptive.py", "frames"): "how many were played",
+    ("deploy/gavatar_runtime/cli/motion_files.py", "frames"): "of a motion",
+    ("deploy/gavatar_runtime/cli/play.py", "json"): "an argument",
+    ("deploy/gavatar_runtime/cli/play_report.py", "frames"): "how many were played",
+    ("deploy/gavatar_runtime/formats/bvh_file.py", "frames"): "a word of the format",
+    ("deploy/gavatar_runtime/formats/pickled_values.py", "numpy"): "the package",
     ("deploy/gavatar_runtime/formats/torch_file.py", "torch"): "the package",
 }
 
