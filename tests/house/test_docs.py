@@ -70,7 +70,7 @@ def test_options_of_commands_that_are_shown_exist(page):
             assert option in known, f"{program} {option}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+@pytest.mark.parametrize("page", WRITTEN, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_overrides_that_are_shown_compose(page):
     load_plugins()
     root = compose_config(["capture=x"])
@@ -97,7 +97,12 @@ def test_every_figure_is_shown():
     assert shown == {path.name for path in (ROOT / "docs/figures").iterdir()}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+@pytest.mark.parametrize("page", WRITTEN, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_lines_are_short(page):
     lines = FENCE.sub("", page.read_text(encoding="utf-8")).splitlines()
     assert [line for line in lines if len(line) > 120 and not line.startswith(("|", "!["))] == []
+
+
+def test_the_page_of_the_python_api_is_what_the_code_says():
+    done = subprocess.run([sys.executable, str(ROOT / "tools/api_page.py"), "--check"])
+    assert done.returncode == 0, "write it again: python tools/api_page.py"

@@ -140,7 +140,7 @@ def _renamed(layout: Layout, content: dict[str, Any]) -> dict[str, Any]:
 
 def _seen(person: Person, mask: np.ndarray | None) -> Person:
     """The person from the first to the last frame in which a mask (T,) says that it was seen."""
-    if mask is None or mask.shape != (len(person),) or not (mask > 0).any():
+    if mask is None or mask.dtype.kind not in "biuf" or mask.shape != (len(person),) or not (mask > 0).any():
         return person
     seen = np.flatnonzero(mask > 0)
     part, count = slice(seen[0], seen[-1] + 1), len(person)
