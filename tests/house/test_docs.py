@@ -7,6 +7,8 @@ import dataclasses
 import importlib
 import io
 import re
+import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -17,6 +19,8 @@ from places import ROOT
 from gavatar.config import MotionConfig, TrainConfig, check, compose_config
 from gavatar.registry import load_plugins
 
+GENERATED = ROOT / "docs/reference/python_api.md"  # by tools/api_page.py, from docstrings
+WRITTEN = [page for page in PAGES if page != GENERATED]
 STAND_INS = ("decoder=tinydecoder", "decoder.width=8")  # the guide's example, which is not installed here
 
 
