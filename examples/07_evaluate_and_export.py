@@ -11,4 +11,4 @@ evaluation = run.evaluate(fit_steps=0, perceptual=False)
 for row in evaluation.rows:
     print(f"{row.split}, {row.poses} poses: {row.psnr:.2f} dB, SSIM {row.ssim:.4f}")
 
-print(run.export(bundle, tiers=["baked"]))  # verified against PyTorch before it is written
+print(run.export(bundle))  # verified against PyTorch before it is written

@@ -35,7 +35,7 @@ def test_there_are_two_programs():
 
 
 def test_the_one_that_draws_frame_by_frame_runs(static, tmp_path, monkeypatch):
-    names = run(PROGRAMS[0], static, tmp_path, monkeypatch, **{'"wave"': '"wave", seconds=0.1', "512": "32"})
+    names = run(PROGRAMS[0], static, tmp_path, monkeypatch, **{"512": "32", "range(len(motion))": "range(2)"})
     assert names["image"].shape == (32, 32, 3)
 
 

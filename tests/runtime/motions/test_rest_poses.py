@@ -46,7 +46,7 @@ def test_offsets_that_draw_no_person_are_understood_by_the_first_frame(tmp_path)
     assert np.abs(matrix_from_axis_angle(drawn.poses.astype(float)) - there).max() > 0.5
     plain = read_motion(tmp_path / "plain.bvh", rest="first-frame")
     np.testing.assert_allclose(plain.poses, expected.poses, atol=1e-6)
-    with pytest.raises(UserError, match="rest=second: choose from auto, offsets, first-frame, anatomy"):
+    with pytest.raises(UserError, match="`rest=second`: choose from auto, offsets, first-frame, anatomy"):
         read_motion(tmp_path / "plain.bvh", rest="second")
 
 

@@ -92,6 +92,6 @@ def test_what_is_not_of_the_kind_is_named(tmp_path):
         read_motion(amass(tmp_path / "a.npz", poses=mirrored, trans=None))
     with pytest.raises(UserError, match=r"expected \(T, 4J\), 4 numbers a joint of quaternion-wxyz"):
         read_motion(amass(tmp_path / "a.npz", poses=np.zeros((4, 66)), trans=None), rotations="quaternion-wxyz")
-    with pytest.raises(UserError, match=r"rotations=euler: choose from auto, axis-angle"):
+    with pytest.raises(UserError, match=r"`rotations=euler`: choose from auto, axis-angle"):
         read_motion(amass(tmp_path / "a.npz"), rotations="euler")
     assert KINDS[0] == "auto"
