@@ -30,7 +30,7 @@ OUTPUTS = ("-o", "--out", "--json", "--figure", "-J")  # the word after them is 
 ROOMS = [page for page in PAGES if page.parent.name != "lab" and ROOT / "gavatar" not in page.parents]
 # words that stand for something the reader has: a name in capitals, or a choice
 PLACEHOLDERS = ("[", "|", "DIR", "RUN", "NAME", "FILE", "CAPTURE", "SOURCE", "FOOTAGE", "$")
-# official files, which everyone downloads for themselves; the guide's example, which test_third_party_plugin.py installs
+# official files, which everyone downloads for themselves; the example that test_third_party_plugin.py installs
 NOT_OURS = ("body=smpl", "--body", "tinydecoder", "grey")
 SLOW = ("gavatar-demo", "gavatar-tradeoff")
 
