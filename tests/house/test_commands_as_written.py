@@ -30,8 +30,9 @@ OUTPUTS = ("-o", "--out", "--json", "--figure", "-J")  # the word after them is 
 ROOMS = [page for page in PAGES if page.parent.name != "lab" and ROOT / "gavatar" not in page.parents]
 # words that stand for something the reader has: a name in capitals, or a choice
 PLACEHOLDERS = ("[", "|", "DIR", "RUN", "NAME", "FILE", "CAPTURE", "SOURCE", "FOOTAGE", "$")
-# official files, which everyone downloads for themselves; the example that test_third_party_plugin.py installs
-NOT_OURS = ("body=smpl", "--body", "tinydecoder", "grey")
+# official files, which everyone downloads for themselves; the example that test_third_party_plugin.py installs;
+# launchers, which tests of sweeps try where they are installed
+NOT_OURS = ("body=smpl", "--body", "tinydecoder", "grey", "hydra/launcher")
 SLOW = ("gavatar-demo", "gavatar-tradeoff")
 
 
