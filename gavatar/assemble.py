@@ -12,6 +12,7 @@ import torch
 from gavatar_runtime.decoding.pose_inputs import pose_inputs
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motions.fitting import EXPRESSIONS, HAND_DATA, fit_motion
+from gavatar_runtime.notes import Note
 from gavatar_runtime.values.body import BodyData
 from gavatar_runtime.values.surface import Surface
 
@@ -70,10 +71,11 @@ def capture_on_body(capture: Capture, data: BodyData) -> Capture:
             others = [name for name in ignored if name in (HAND_DATA, EXPRESSIONS)]
             joints = [name for name in ignored if name not in others]
             if joints and key == "motion":
-                warnings.warn(f"body '{data.name}' lacks joints that move in {capture.path}: {', '.join(joints)}")
+                warnings.warn(f"body '{data.name}' lacks joints that move in {capture.path}: {', '.join(joints)}", Note)
             if others and key == "motion":
                 warnings.warn(
-                    f"body '{data.name}' has no {' and no '.join(others)}: those of {capture.path} are ignored"
+                    f"body '{data.name}' has no {' and no '.join(others)}: those of {capture.path} are ignored",
+                    Note,
                 )
     return dataclasses.replace(capture, **fitted)
 

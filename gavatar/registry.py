@@ -20,6 +20,7 @@ from typing import Any
 
 from gavatar_runtime.components import Component, NoOptions, Registry
 from gavatar_runtime.motions import MOTIONS
+from gavatar_runtime.notes import Note
 from gavatar_runtime.play.outputs import OUTPUTS
 
 from .optional import extra_of, install_command
@@ -168,10 +169,12 @@ def _failure(plugin: str, error: BaseException) -> PluginFailure:
 def _warn(failures: list[PluginFailure]) -> None:
     for failure in failures:
         if not failure.extra:
-            warnings.warn(f"plugin {failure.plugin} was skipped: {failure.cause}", stacklevel=3)
+            warnings.warn(f"plugin {failure.plugin} was skipped: {failure.cause}", Note, stacklevel=3)
     for extra in sorted({failure.extra for failure in failures} - {""}):
         skipped = [failure.plugin for failure in failures if failure.extra == extra]
-        warnings.warn(f"plugins were skipped, {install_command(extra)} brings them: {', '.join(skipped)}", stacklevel=3)
+        warnings.warn(
+            f"plugins were skipped, {install_command(extra)} brings them: {', '.join(skipped)}", Note, stacklevel=3
+        )
 
 
 def fill_config_store() -> None:
@@ -191,7 +194,7 @@ def fill_config_store() -> None:
                 store.store(group=registry.group, name=component.name, node=_node(component), provider="gavatar")
             except (OmegaConfBaseException, TypeError, NameError) as error:
                 cause = str(error).strip().splitlines()[0]
-                warnings.warn(f"{registry.group} '{component.name}' cannot be configured: {cause}", stacklevel=2)
+                warnings.warn(f"{registry.group} '{component.name}' cannot be configured: {cause}", Note, stacklevel=2)
 
 
 def _node(component: Component) -> type:

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
 from .errors import WrongValue, did_you_mean
+from .notes import Note
 
 T = TypeVar("T")
 
@@ -111,7 +112,7 @@ class Registry(Generic[T]):
             former = self._components.get(name)
             if former is not None and former.origin != factory.__module__:
                 warnings.warn(
-                    f"{self.group} '{name}' of {former.origin} is replaced by {factory.__module__}", stacklevel=2
+                    f"{self.group} '{name}' of {former.origin} is replaced by {factory.__module__}", Note, stacklevel=2
                 )
             doc = (factory.__doc__ or "").strip().splitlines()
             self._components[name] = Component(

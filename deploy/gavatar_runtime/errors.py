@@ -10,6 +10,8 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
+from .notes import notes_only
+
 MOST_NAMED = 20  # faults of one kind, or frames of one fault, that a message names before it counts the rest
 OPTION = re.compile(r"`([\w.]+)(?:=([^`]*))?`")  # as messages of the library name one: `fps`, or `fps=-3`
 Spelling = Callable[[str, str], str]  # of an option, from its keyword and value, if that is said; '' leaves it as it is
@@ -136,12 +138,14 @@ def options_spelled(spelling: Spelling) -> Iterator[None]:
 
 
 def exit_cleanly(command: Callable[..., int | None]) -> Callable[..., None]:
-    """Decorate a console entry point: `UserError` becomes one line on stderr and exit code 2."""
+    """Decorate a console entry point: `UserError` becomes one line on stderr and exit code 2; of warnings, notes alone
+    are shown."""
 
     @functools.wraps(command)
-    def run(*args, **kwargs) -> None:
+    def run(*args: Any, **kwargs: Any) -> None:
         try:
-            code = command(*args, **kwargs)
+            with notes_only():
+                code = command(*args, **kwargs)
         except UserError as error:
             print(f"error: {error}", file=sys.stderr)
             sys.exit(2)

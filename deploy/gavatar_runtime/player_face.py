@@ -17,6 +17,7 @@ from .bundle import Bundle, read_bundle
 from .decoding.detail import uv_for_count
 from .errors import WrongValue
 from .motions.builtin import relaxed_pose
+from .notes import Note
 from .play.performance import PlayReport, perform
 from .play.staging import View
 from .render.renderer import Renderer
@@ -155,7 +156,7 @@ class Avatar(playing.Avatar):
         motion = self._still(pose, trans, expression, parts)
         report = self.play(motion, path, output=output, output_options=output_options)
         for note in report.notes:
-            warnings.warn(note, stacklevel=2)
+            warnings.warn(note, Note, stacklevel=2)
 
     def _still(self, pose: Any, trans: Any, expression: Any, parts: dict[str, Any]) -> Motion:
         """One frame as a motion that fits the body."""
@@ -184,7 +185,9 @@ class Avatar(playing.Avatar):
         else:
             pose, lacking = self._fitted(joint_rows(pose, self.joint_names))
         if lacking:
-            warnings.warn(f"the body has no {', '.join(lacking)}: what the pose does there is left out", stacklevel=3)
+            warnings.warn(
+                f"the body has no {', '.join(lacking)}: what the pose does there is left out", Note, stacklevel=3
+            )
         given = [None if v is None else numbers(n, v) for n, v in (("trans", trans), ("expression", expression))]
         trans, expression = (None if array is None else array.reshape(-1) for array in given)
         return pose, trans, expression

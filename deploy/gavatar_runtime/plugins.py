@@ -5,6 +5,8 @@ from __future__ import annotations
 import functools
 import warnings
 
+from .notes import Note
+
 ENTRY_POINT_GROUP = "gavatar.plugins"
 
 
@@ -21,4 +23,4 @@ def load_entry_points() -> None:
         try:
             point.load()
         except Exception as error:  # whatever a plugin does at import must not take the others down
-            warnings.warn(f"plugin {point.name} was skipped: {type(error).__name__}: {error}", stacklevel=2)
+            warnings.warn(f"plugin {point.name} was skipped: {type(error).__name__}: {error}", Note, stacklevel=2)

@@ -15,6 +15,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.notes import quiet_libraries
 from gavatar_runtime.progress import lines_only
 
 from ..config import register_configs
@@ -77,6 +78,8 @@ class Job:
 def arrive(names: Mapping[str, str], outcomes: Path, home: int) -> Job:
     """A job in the process where it is to run, with the registries and resolvers that its configuration needs. Hydra
     resolves the run's directory before it calls the job, so this happens as the job is unpickled."""
+    if os.getpid() != home:
+        quiet_libraries()
     register_configs()
     OmegaConf.register_new_resolver("run_name", lambda path: names[str(path)], replace=True)
     return Job(names, outcomes, home)

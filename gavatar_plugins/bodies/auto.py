@@ -10,6 +10,7 @@ from gavatar.body.official_files import FAMILIES, find_model
 from gavatar.registry import BODIES, BodyTraits
 from gavatar_runtime.components import path_option
 from gavatar_runtime.errors import UserError, did_you_mean
+from gavatar_runtime.notes import Note
 
 # Captures made on the free body before it had a name of its own call it by its skeleton, which is SMPL-H's.
 _BODIES = {"free": "free", "smplh": "free", "smplh-official": "smplh", "smpl": "smpl", "smplx": "smplx"}
@@ -64,7 +65,7 @@ class AutoBody:
                 raise
             if capture.placement is None:
                 raise UserError(f"{error} (or body=free, though the capture's shape is one of {name})") from None
-            warnings.warn(f"the free body takes the place of {name}, without its shape: {error}")
+            warnings.warn(f"the free body takes the place of {name}, without its shape: {error}", Note)
             return {"name": "free"}
         options = {"path": config.path, "gender": gender}
         return {"name": name, **options, **({"hands": config.hands} if name in ("smplx", "smplh") else {})}

@@ -90,9 +90,9 @@ def imports_within(*rooms: Path) -> dict[str, set[str]]:
 
 # the runtime's rooms, the lowest first: each may import what stands before it
 FLOORS = (
-    ("version", "errors", "splatting_rule"), ("components", "plugins", "native_library"), ("geometry",), ("values",),
-    ("formats",), ("bundle", "rigs"), ("motions",), ("decoding",), ("tiers",), ("avatar",), ("render",), ("play",),
-    ("player_face",), ("cli",),
+    ("version", "notes", "progress"), ("errors", "splatting_rule"), ("components", "plugins", "native_library"),
+    ("geometry",), ("values",), ("formats",), ("bundle", "rigs"), ("motions",), ("decoding",), ("tiers",), ("avatar",),
+    ("render",), ("play",), ("player_face",), ("cli",),
     ("gavatar_runtime",),
 )  # fmt: skip
 FLOOR = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}

@@ -25,7 +25,7 @@ def main(argv: list[str] | None = None) -> int:
     from ..formats.files import write_json
     from ..motions import MOTIONS, read_motion
     from ..play.performance import perform
-    from .play_report import as_json, show_progress, table
+    from .play_report import FrameBar, as_json, table
 
     quiet, flags = arguments["quiet"], as_flags(arguments)
     with options_spelled(as_settings("motion.")):
@@ -38,7 +38,7 @@ def main(argv: list[str] | None = None) -> int:
             arguments["out"],
             rasterizer_options=settings["rasterizer"] or None,
             output_options=settings["output"] or None,
-            progress=show_progress if sys.stderr.isatty() and not quiet else None,
+            progress=None if quiet else FrameBar(),
             tell=None if quiet else lambda note: print(f"note: {spelled(note, flags)}", file=sys.stderr),
             **{name: value for name, value in arguments.items() if name not in OURS},
         )

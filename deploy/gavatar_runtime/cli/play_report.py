@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
 from ..play.performance import PlayReport
 from ..play.player import WRITE, Timings
+from ..progress import Progress
 
 
 def as_json(report: PlayReport) -> dict[str, Any]:
@@ -66,9 +66,14 @@ def table(report: PlayReport) -> str:
     return "\n".join(lines)
 
 
-def show_progress(done: int, total: int) -> None:
-    """Draw the bar on stderr over the one before."""
-    width = 30
-    filled = width * done // total
-    end = "\n" if done == total else ""
-    print(f"\r[{'#' * filled}{'.' * (width - filled)}] {done}/{total}", end=end, file=sys.stderr, flush=True)
+class FrameBar:
+    """Shows how many frames are played, as `perform` tells it."""
+
+    def __init__(self) -> None:
+        self._bar: Progress | None = None
+
+    def __call__(self, done: int, total: int) -> None:
+        self._bar = self._bar or Progress("play", total, "frame")
+        self._bar.advance(done - self._bar.done)
+        if done == total:
+            self._bar.close()
