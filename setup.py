@@ -43,7 +43,7 @@ def find_compiler() -> str | None:
 
 
 def write_rule(folder: Path) -> None:
-    """Write splatting_rule.h, the constants of rules.py, into `folder`, so that they stand in one place."""
+    """Write splatting_rule.h, the constants of splatting_rule.py, into `folder`: they stand in one place."""
     rule = {name: value for name, value in runpy.run_path(str(RULES)).items() if name.isupper()}
     lines = [
         f"// The splatting rule's constants, written by setup.py from {RULES.name}.",

@@ -16,11 +16,21 @@ build() { # name, flags...
         "$WORK/$name.so" -g -O1 -fno-omit-frame-pointer "$@"
 }
 
+# A library that cannot be loaded would skip every test.
+LOADS='from gavatar_runtime import native_library as nl; nl.library()'
+
 echo '== address, undefined'
 build asan -fsanitize=address,undefined -fno-sanitize-recover=undefined
-GAVATAR_NATIVE_LIBRARY=$WORK/asan.so LD_PRELOAD="$($CXX -print-file-name=libasan.so) $($CXX -print-file-name=libubsan.so)" \
-    ASAN_OPTIONS=detect_leaks=0:verify_asan_link_order=0 UBSAN_OPTIONS=print_stacktrace=1 \
-    "$PYTHON" -m pytest -q -p no:cacheprovider tests/runtime/render/test_native.py tests/plugins/rasterizers -k native
+sanitized() {
+    GAVATAR_NATIVE_LIBRARY=$WORK/asan.so \
+        LD_PRELOAD="$($CXX -print-file-name=libasan.so) $($CXX -print-file-name=libubsan.so)" \
+        ASAN_OPTIONS=detect_leaks=0:verify_asan_link_order=0 UBSAN_OPTIONS=print_stacktrace=1 "$@"
+}
+sanitized "$PYTHON" -c "$LOADS"
+sanitized "$PYTHON" -m pytest -q -p no:cacheprovider tests/runtime/render/test_native.py tests/plugins/rasterizers -k native
+sanitized "$PYTHON" -m pytest -q -p no:cacheprovider tests/gavatar/images/test_ssim.py \
+    tests/gavatar/avatar/test_uv_sampling.py tests/gavatar/avatar/test_torch_skinning.py \
+    tests/runtime/decoding/test_residuals.py
 
 echo '== threads'
 build tsan -fsanitize=thread

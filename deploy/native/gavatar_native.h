@@ -1,8 +1,8 @@
 // The C interface of gavatar's native kernel:
 //
 // - exact Gaussian splatting, forward and backward (gv_forward, gv_backward), by the rule of
-//   gavatar_runtime/splatting_rule.py, and a frame (gv_frame_*) that holds what is kept
-//   from one to the other;
+//   gavatar_runtime/splatting_rule.py, and a frame (gv_frame_*) that holds what is kept from one to
+//   the other;
 // - linear blend skinning with its gradients, and attributes of Gaussians from blendshapes or by
 //   upsampling;
 // - SSIM with its gradient, and sparse products, for training;
@@ -98,7 +98,7 @@ GV_API int32_t gv_abi_version(void);
 GV_API const char* gv_compiler(void);
 // sizeof a struct of this file; -1 for another name.
 GV_API int64_t gv_struct_size(const char* name);
-// A constant of rules.py as it was compiled in; NaN for another name.
+// A constant of splatting_rule.py as it was compiled in; NaN for another name.
 GV_API double gv_rule(const char* name);
 
 // Instruction sets: index 0 is the baseline. `gv_isa_count` are compiled in, `gv_isa_supported` run
@@ -138,7 +138,7 @@ GV_API int32_t gv_skin_backward(int64_t count, int32_t slots, int32_t joints, in
 
 // Attributes of N Gaussians as base (N, 8: x y z r g b scale 0) + residual, colours clipped to
 // [0, 1] and scales to 0 and up.
-// Blendshapes: the residual is gains[part] * sum_k coefficients[part, k] basis[n, k], per body part.
+// Blendshapes, by body part: the residual is gains[part] * sum_k coefficients[part, k] basis[n, k].
 // basis: (N, groups, 8, 4), basis k of channel c at [n, k / 4, c, k % 4]; coefficients:
 // (parts, 4 groups); gains: (parts, 8). A part outside [0, parts) fails.
 GV_API int32_t gv_blendshapes(int64_t count, int32_t groups, int32_t parts, const float* base,
