@@ -1,4 +1,4 @@
-"""Running the commands of the runtime in this process."""
+"""Running commands in this process."""
 
 from __future__ import annotations
 
@@ -18,6 +18,13 @@ def run_motion(*arguments: Any) -> int:
 def run_play(*arguments: Any) -> int:
     """The exit code of `gavatar-play` with those arguments."""
     return _exit_code(play.main, arguments)
+
+
+def run_prepare(*arguments: Any) -> int:
+    """The exit code of `gavatar-prepare` with those arguments."""
+    from gavatar.cli import prepare  # needs what trains, which tests of the player do without
+
+    return _exit_code(prepare.main, arguments)
 
 
 def _exit_code(main: Callable, arguments: tuple[Any, ...]) -> int:

@@ -8,9 +8,9 @@ import numpy as np
 import places
 import pytest
 import torch
+from commands import run_prepare
 
 from gavatar.capture.capture import read_capture
-from gavatar.cli.prepare import main
 from gavatar.preparation.anatomy import joint_ranges
 from gavatar.preparation.draw import body_mask, iou
 from gavatar.preparation.fit import BodyFitter, FitOptions
@@ -402,21 +402,10 @@ def footage(tmp_path, data):
     return folder
 
 
-def run(*arguments) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(a) for a in arguments])
-    return stop.value.code
-
-
-@pytest.fixture
-def few_steps(monkeypatch):
-    monkeypatch.setattr(FitOptions.__init__, "__defaults__", ((5, 5, 5), *FitOptions.__init__.__defaults__[1:]))
-
-
 @pytest.mark.usefixtures("few_steps")
 def test_the_command_writes_a_capture_that_reads_back(footage, tmp_path, capsys):
     out = tmp_path / "out" / "anna"
-    assert run(footage, "-o", out, "--size", 64, "--license", "mine", "--quiet") == 0
+    assert run_prepare(footage, "-o", out, "--size", 64, "--license", "mine", "--quiet") == 0
     said = capsys.readouterr().out
     assert "camera unknown" in said
     assert "IoU" in said
@@ -439,7 +428,7 @@ def test_the_command_writes_a_capture_that_reads_back(footage, tmp_path, capsys)
 @pytest.mark.usefixtures("few_steps")
 def test_one_frame_of_footage_and_no_preview(footage, tmp_path):
     out = tmp_path / "one"
-    assert run(footage, "-o", out, "--frames", "1:2", "--no-preview", "--quiet") == 0
+    assert run_prepare(footage, "-o", out, "--frames", "1:2", "--no-preview", "--quiet") == 0
     assert len(read_capture(out).motion) == 1
     assert not (out / "preview.png").exists()
 
@@ -449,9 +438,9 @@ def test_existing_output_is_kept_unless_told(footage, tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
     (out / "precious.txt").write_text("mine")
-    assert run(footage, "-o", out, "--quiet") == 2
+    assert run_prepare(footage, "-o", out, "--quiet") == 2
     assert "--overwrite" in capsys.readouterr().err
-    assert run(footage, "-o", out, "--quiet", "--overwrite") == 2
+    assert run_prepare(footage, "-o", out, "--quiet", "--overwrite") == 2
     assert "no capture" in capsys.readouterr().err
     assert (out / "precious.txt").read_text() == "mine"
 
@@ -512,7 +501,7 @@ def _camera_json():
 )
 def test_bad_footage_is_one_sentence_and_nothing_half_written(footage, tmp_path, capsys, harm, message):
     harm(footage)
-    assert run(footage, "-o", tmp_path / "place" / "out", "--quiet") == 2
+    assert run_prepare(footage, "-o", tmp_path / "place" / "out", "--quiet") == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
@@ -534,7 +523,7 @@ def test_bad_footage_is_one_sentence_and_nothing_half_written(footage, tmp_path,
     ],
 )
 def test_bad_options_are_refused(footage, tmp_path, capsys, arguments, message):
-    assert run(footage, "-o", tmp_path / "out", "--quiet", *arguments) == 2
+    assert run_prepare(footage, "-o", tmp_path / "out", "--quiet", *arguments) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from commands import run_prepare
 from official_bodies import dressed_free_body, write_npz
 from test_prepare import (  # noqa: F401  (fixtures among them)
     QUICK,
@@ -14,7 +15,6 @@ from test_prepare import (  # noqa: F401  (fixtures among them)
     joint_error,
     one_thread,
     plausible_motion,
-    run,
     seen_by,
 )  # fmt: skip
 
@@ -85,7 +85,9 @@ def test_landmarks_sit_where_they_do_on_the_same_mesh(models, family):
 def test_the_command_fits_official_bodies(models, family, footage, tmp_path, monkeypatch, capsys):  # noqa: F811
     monkeypatch.setattr(FitOptions.__init__, "__defaults__", ((5, 5, 5), *FitOptions.__init__.__defaults__[1:]))
     out = tmp_path / "capture"
-    assert run(footage, "-o", out, "--body", family, "--gender", "female", "--body-path", models, "--quiet") == 0
+    assert (
+        run_prepare(footage, "-o", out, "--body", family, "--gender", "female", "--body-path", models, "--quiet") == 0
+    )
     assert "IoU" in capsys.readouterr().out
     info = json.loads((out / "capture.json").read_text())
     assert (info["body_model"], info["gender"]) == ("smplh-official" if family == "smplh" else family, "female")
@@ -113,7 +115,7 @@ def test_the_command_fits_official_bodies(models, family, footage, tmp_path, mon
 )
 def test_a_body_that_cannot_be_had_is_one_sentence(options, message, footage, tmp_path, monkeypatch, capsys):  # noqa: F811
     monkeypatch.delenv("GAVATAR_BODY_MODELS", raising=False)
-    assert run(footage, "-o", tmp_path / "out", "--quiet", *options) == 2
+    assert run_prepare(footage, "-o", tmp_path / "out", "--quiet", *options) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1

@@ -7,14 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from commands import run_prepare
 from demo_pictures import picture, true_mask
 from places import DEMO
 
 from gavatar.capture.capture import read_capture
-from gavatar.cli.prepare import main
 from gavatar.preparation.detect import Detector
 from gavatar.preparation.draw import iou
-from gavatar.preparation.fit import FitOptions
 from gavatar.preparation.footage_source import SourceOptions, open_source
 from gavatar.preparation.pose_network import PoseNetworks
 from gavatar.preparation.video_reading import video_facts, video_frames
@@ -72,22 +71,11 @@ def test_chosen_frames_are_decoded_exactly(tmp_path):
 # ---------------------------------------------------------------- the command
 
 
-def run(*arguments) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(a) for a in arguments])
-    return stop.value.code
-
-
-@pytest.fixture
-def few_steps(monkeypatch):
-    monkeypatch.setattr(FitOptions.__init__, "__defaults__", ((5, 5, 5), *FitOptions.__init__.__defaults__[1:]))
-
-
 @pytest.mark.usefixtures("few_steps")
 def test_a_plain_video_becomes_a_capture(tmp_path, capsys):
     clip = write_video(tmp_path / "clip.mp4", [picture(t) for t in range(7)])
     out = tmp_path / "capture"
-    assert run(clip, "-o", out, "--max-frames", 4, "--quiet") == 0
+    assert run_prepare(clip, "-o", out, "--max-frames", 4, "--quiet") == 0
     said = capsys.readouterr().out
     assert "every second of 7 frames" in said
     assert "4 frames" in said
@@ -108,14 +96,14 @@ def test_videos_that_cannot_be_used_are_one_sentence(tmp_path, capsys):
     empty = write_video(tmp_path / "empty.mp4", [np.full((96, 64, 3), 90, np.uint8)] * 3)
     for source, message in ((broken, "cannot be read as a video"), (empty, "no person found in 'cam0'"),
                             (tmp_path / "none.mp4", "does not exist")):  # fmt: skip
-        assert run(source, "-o", tmp_path / "out" / "a", "--quiet") == 2
+        assert run_prepare(source, "-o", tmp_path / "out" / "a", "--quiet") == 2
         error = capsys.readouterr().err
         assert message in error
         assert error.count("\n") == 1
         assert not (tmp_path / "out").exists()
     wrong = tmp_path / "net.onnx"
     wrong.write_bytes(b"no network")
-    assert run(empty, "-o", tmp_path / "out", "--pose-network", wrong, "--quiet") == 2
+    assert run_prepare(empty, "-o", tmp_path / "out", "--pose-network", wrong, "--quiet") == 2
     assert "net.onnx cannot be read as an ONNX network" in capsys.readouterr().err
 
 
