@@ -6,17 +6,8 @@ import json
 import numpy as np
 import pytest
 from commands import run_prepare
+from known_people import QUICK, cameras_around, joint_error, plausible_motion, seen_by
 from official_bodies import dressed_free_body, write_npz
-from test_prepare import (  # noqa: F401  (fixtures among them)
-    QUICK,
-    cameras_around,
-    data,
-    footage,
-    joint_error,
-    one_thread,
-    plausible_motion,
-    seen_by,
-)  # fmt: skip
 
 from gavatar.assemble import build_body, capture_on_body
 from gavatar.body.official_files import FAMILIES, read_body
@@ -27,6 +18,7 @@ from gavatar.preparation.landmarks import INDEX, landmark_rows
 from gavatar.registry import load_plugins
 from gavatar_plugins.bodies.free import load_free_body
 
+pytestmark = pytest.mark.usefixtures("one_thread")
 FILES = {"smpl": "SMPL_FEMALE.npz", "smplh": "SMPLH_FEMALE.npz", "smplx": "SMPLX_FEMALE.npz"}
 
 
@@ -58,7 +50,7 @@ def test_an_smplx_body_of_300_coefficients_is_fitted_by_its_first_ten(models):
     fit = BodyFitter(body, [camera], [seen_by(camera, truth)], None, 10.0, QUICK).run(progress=False)
     assert fit.betas.shape == (10,)
     assert (fit.poses[:, 22:] == 0).all()
-    # of the free body test_prepare's tolerance is 0.08 m; pose blendshapes (8 mm) move the skin, not the joints
+    # of the free body test_body_fit's tolerance is 0.08 m; pose blendshapes (8 mm) move the skin, not the joints
     assert joint_error(body, fit, truth) < 0.08
 
 
@@ -82,7 +74,7 @@ def test_landmarks_sit_where_they_do_on_the_same_mesh(models, family):
 
 
 @pytest.mark.parametrize("family", FILES)
-def test_the_command_fits_official_bodies(models, family, footage, tmp_path, monkeypatch, capsys):  # noqa: F811
+def test_the_command_fits_official_bodies(models, family, footage, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(FitOptions.__init__, "__defaults__", ((5, 5, 5), *FitOptions.__init__.__defaults__[1:]))
     out = tmp_path / "capture"
     assert (
@@ -113,7 +105,7 @@ def test_the_command_fits_official_bodies(models, family, footage, tmp_path, mon
         (["--num-betas", 0], "--num-betas 0 is out of range"),
     ],
 )
-def test_a_body_that_cannot_be_had_is_one_sentence(options, message, footage, tmp_path, monkeypatch, capsys):  # noqa: F811
+def test_a_body_that_cannot_be_had_is_one_sentence(options, message, footage, tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("GAVATAR_BODY_MODELS", raising=False)
     assert run_prepare(footage, "-o", tmp_path / "out", "--quiet", *options) == 2
     error = capsys.readouterr().err
