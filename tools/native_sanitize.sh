@@ -27,7 +27,8 @@ sanitized() {
         ASAN_OPTIONS=detect_leaks=0:verify_asan_link_order=0 UBSAN_OPTIONS=print_stacktrace=1 "$@"
 }
 sanitized "$PYTHON" -c "$LOADS"
-sanitized "$PYTHON" -m pytest -q -p no:cacheprovider tests/runtime/render/test_native.py tests/plugins/rasterizers -k native
+sanitized "$PYTHON" -m pytest -q -p no:cacheprovider tests/runtime/render tests/plugins/rasterizers \
+    tests/runtime/geometry/test_native_skinning.py -k native
 sanitized "$PYTHON" -m pytest -q -p no:cacheprovider tests/gavatar/images/test_ssim.py \
     tests/gavatar/avatar/test_uv_sampling.py tests/gavatar/avatar/test_torch_skinning.py \
     tests/runtime/decoding/test_residuals.py

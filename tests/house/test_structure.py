@@ -14,6 +14,7 @@ HALVES = {"gavatar_runtime": ROOT / "deploy" / "gavatar_runtime", "gavatar": ROO
 HOMES = {**HALVES, "gavatar_plugins": ROOT / "gavatar_plugins"}
 LONGEST_FUNCTION = 60  # lines: what fits on a screen
 LONGEST_FILE = 400  # lines: past that a file is usually two ideas
+LONGEST_TEST_FILE = 350
 MOST_MODULES = 20  # in a folder
 
 
@@ -98,3 +99,13 @@ def test_files_and_functions_fit_on_a_screen(package):
             if isinstance(node, ast.FunctionDef) and node.end_lineno - node.lineno >= LONGEST_FUNCTION:
                 long.append(f"{path.relative_to(ROOT)}: {node.name}, {node.end_lineno - node.lineno + 1} lines")
     assert long == []
+
+
+def test_files_of_tests_are_no_longer_than_one_topic_needs_and_have_names_of_their_own():
+    """pytest would import two test files of one name as one module, and a name tells only where it is the only one."""
+    files = sorted((ROOT / "tests").rglob("*.py"))
+    assert len(files) > 100
+    lines = {path.relative_to(ROOT).as_posix(): len(path.read_text().splitlines()) for path in files}
+    assert {name: count for name, count in lines.items() if count > LONGEST_TEST_FILE} == {}
+    names = Counter(path.name for path in files if path.name.startswith("test_"))
+    assert [name for name, count in names.items() if count > 1] == []

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from dots import Dots
 
+from gavatar_runtime import native_library as nl
 from gavatar_runtime.render.rasterizers import PLAYER_RASTERIZERS
 
 
@@ -48,3 +49,11 @@ def no_opencv(monkeypatch) -> None:
 @pytest.fixture
 def no_ffmpeg(monkeypatch, tmp_path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path / "nowhere"))
+
+
+@pytest.fixture
+def kernel_defaults_afterwards() -> Iterator[None]:
+    """The kernel's threads and instruction set, which are the process's, as they were by default."""
+    yield
+    nl.set_threads(0)
+    nl.use_instruction_set(None)
