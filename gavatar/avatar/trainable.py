@@ -18,8 +18,8 @@ from gavatar_runtime.values.gaussians import Gaussians
 from gavatar_runtime.values.surface import Surface
 
 from ..attributes import Attributes
-from ..body.blendshapes import expression_of, pose_blendshapes_of, shape_of
 from ..body.skeleton import Skeleton
+from .blendshapes import expression_of, pose_blendshapes_of, shape_of
 from .torch_skinning import can_skin_sparse, skin, skin_rotations, skin_sparse, skinning_weights
 from .uv_sampling import Sampler
 

@@ -17,7 +17,7 @@ from gavatar_runtime.bundle import (
 )
 
 from ..attributes import encoder_inputs
-from ..body.blendshapes import expression_of, pose_blendshapes_of
+from ..avatar.blendshapes import expression_of, pose_blendshapes_of
 from ..registry import ENCODERS, RASTERIZERS, split_node
 from ..training.run import Run
 from .onnx_graphs import OPSET, decoder_model, encoder_model, with_metadata

@@ -10,10 +10,10 @@ import torch
 from official_bodies import dressed_free_body, write_npz
 
 from gavatar.attributes import Attributes
+from gavatar.avatar.blendshapes import at_points, expression_of, pose_blendshapes_of
 from gavatar.avatar.points import sample_surface
 from gavatar.avatar.torch_skinning import dense_weights
 from gavatar.avatar.trainable import Avatar, AvatarConfig, Pose
-from gavatar.body.blendshapes import at_points, expression_of, pose_blendshapes_of
 from gavatar.body.official_files import FAMILIES, read_body
 from gavatar.body.skeleton import Skeleton
 from gavatar.body.torch_rotations import matrix_from_axis_angle

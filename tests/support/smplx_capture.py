@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from official_bodies import dressed_free_body, write_npz
 
+from gavatar.avatar.blendshapes import expression_of
 from gavatar.avatar.points import sample_surface
-from gavatar.body.blendshapes import expression_of
 from gavatar.body.official_files import FAMILIES, read_body
 from gavatar_runtime.geometry.skinning import skin
 from gavatar_runtime.render.choice import build_rasterizer

@@ -13,8 +13,8 @@ from smplx_capture import expressions, hand_motion, write_smplx_capture, write_s
 from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.assemble import build_body, capture_on_body
+from gavatar.avatar.blendshapes import expression_of
 from gavatar.avatar.points import sample_surface
-from gavatar.body.blendshapes import expression_of
 from gavatar.capture.opening import open_capture
 from gavatar.capture.placement import Placement
 from gavatar.config import compose_config
