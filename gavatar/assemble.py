@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from gavatar_runtime.decoding.pose_inputs import pose_inputs
+from gavatar_runtime.components import Registry
+from gavatar_runtime.decoding.pose_inputs import input_shapes, pose_inputs
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.motions.fitting import EXPRESSIONS, HAND_DATA, fit_motion
 from gavatar_runtime.notes import Note
 from gavatar_runtime.values.body import BodyData
 from gavatar_runtime.values.surface import Surface
 
-from .attributes import encoder_inputs
 from .avatar.points import check_resolution, sample_surface
 from .avatar.trainable import Avatar, AvatarConfig
 from .body.skeleton import Skeleton
@@ -103,8 +103,8 @@ class AvatarBuild:
 
     def encoder_tensors(self, poses: np.ndarray) -> list[torch.Tensor]:
         """What the avatar's encoder looks at of (B, J, 3) axis-angle poses, on the avatar's device."""
-        encoder = self.avatar.encoder
-        arrays = pose_inputs(self.surface(encoder.map_size), np.asarray(poses, np.float32), encoder_inputs(encoder))
+        surface, names = self.surface(self.avatar.encoder.map_size), tuple(self.avatar.encoder_traits.inputs)
+        arrays = pose_inputs(surface, np.asarray(poses, np.float32), names)
         return [torch.from_numpy(array).to(self.avatar.features.device) for array in arrays]
 
 
@@ -121,9 +121,29 @@ def build_avatar(
     betas = capture.placed(body.data).motion.betas
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        decoder = DECODERS.build(*split_node(decoder_node), in_channels=avatar.features)
-        encoder = ENCODERS.build(*split_node(encoder_node), channels=avatar.features, map_size=None)
+        decoder, decoder_traits = _network(DECODERS, decoder_node, in_channels=avatar.features)
+        encoder, encoder_traits = _network(ENCODERS, encoder_node, channels=avatar.features, map_size=None)
         if encoder is not None:
             check_resolution(encoder.map_size, "encoder.map_size")
+            if encoder_traits.inputs != input_shapes(*encoder_traits.inputs):
+                raise UserError(f"encoder '{encoder_node['name']}': its inputs have other shapes than it declares")
         skeleton = Skeleton(body.data, betas)
-        return AvatarBuild(body, betas, Avatar(avatar, skeleton, encoder, decoder))
+        return AvatarBuild(body, betas, Avatar(avatar, skeleton, encoder, decoder, encoder_traits, decoder_traits))
+
+
+# what an encoder or decoder may have, and the trait that says so: nothing else would look for it
+_DECLARED = {"on_step": "counts_steps", "mixed_precision": "mixed_precision", "prepare": "prepares", "inputs": "inputs"}
+
+
+def _network(registry: Registry, node: dict[str, Any], **context: Any) -> tuple[Any, Any]:
+    """A component of a composed node and its traits; UserError where these are silent on what it has."""
+    name, options = split_node(node)
+    network, traits = registry.build(name, options, **context), registry.traits(name, options)
+    said, usual = dataclasses.asdict(traits), dataclasses.asdict(registry.usual_traits)
+    for member, trait in _DECLARED.items():
+        if trait in said and said[trait] == usual[trait] and hasattr(network, member):
+            raise UserError(
+                f"{registry.group} '{name}' has `{member}`, which its traits do not say: register it with "
+                f"traits={type(traits).__name__}({trait}=...)"
+            )
+    return network, traits

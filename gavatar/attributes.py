@@ -7,8 +7,6 @@ from typing import Protocol
 
 from torch import Tensor
 
-from gavatar_runtime.decoding.pose_inputs import check_inputs
-
 
 @dataclasses.dataclass
 class Attributes:
@@ -29,9 +27,8 @@ class Decoder(Protocol):
     """A component of the `decoder` registry: an nn.Module built as `factory(config, in_channels=C)`.
 
     `forward(features (P, C), uv (P, 2), spacing (P,)) -> Attributes` of P points. `spacing` is the distance in metres
-    between neighbouring points, the natural unit of a Gaussian's scale. Everything must be exportable to ONNX. An
-    optional `on_step(step)` is called before each training step of stage 1. `mixed_precision = True` says that it may
-    be trained under autocast to bfloat16 and gives float32 even then.
+    between neighbouring points, the natural unit of a Gaussian's scale. Everything must be exportable to ONNX. One
+    whose traits say `counts_steps` has `on_step(step)` too, which is called before each training step of stage 1.
     """
 
     def __call__(self, features: Tensor, uv: Tensor, spacing: Tensor) -> Attributes: ...
@@ -41,23 +38,12 @@ class Encoder(Protocol):
     """A component of the `encoder` registry: an nn.Module built as `factory(config, channels=C, map_size=None)`,
     or None for a static avatar. `map_size` is the side of the maps it wants.
 
-    `inputs`: which of `gavatar_runtime.decoding.pose_inputs.INPUTS` it looks at, by default the positional map alone
-    (see
-    `encoder_inputs`). `forward(*inputs) -> (B, C, M, M)` pose features, added to the learnable features; positional_map
-    is (B, 3, M, M). An optional `prepare(surface, seen, *inputs)` is called once before its first training step
-    with the sampled surface of the maps, the texels that each training view shows, (V, M, M) bool, and the inputs in
-    all of these views; what it keeps belongs into buffers.
+    `forward(*inputs) -> (B, C, M, M)` pose features, added to the learnable features. The inputs are those that its
+    traits declare, of B poses. One whose traits say `prepares` has `prepare(surface, seen, *inputs)` too, which is
+    called once before its first training step with the sampled surface of the maps, the texels that each training view
+    shows, (V, M, M) bool, and the inputs in all of these views; what it keeps belongs into buffers.
     """
 
     map_size: int
-    inputs: tuple[str, ...]
 
     def __call__(self, *inputs: Tensor) -> Tensor: ...
-
-
-def encoder_inputs(encoder: Encoder) -> tuple[str, ...]:
-    """Names of what an encoder looks at, one or more of `gavatar_runtime.decoding.pose_inputs.INPUTS`. UserError for
-    another."""
-    names = tuple(getattr(encoder, "inputs", ("positional_map",)))
-    check_inputs(names, f"encoder {type(encoder).__name__}")
-    return names

@@ -19,6 +19,7 @@ from types import ModuleType
 from typing import Any
 
 from gavatar_runtime.components import Component, NoOptions, Registry
+from gavatar_runtime.decoding.pose_inputs import Shape, input_shapes
 from gavatar_runtime.motions import MOTIONS
 from gavatar_runtime.notes import Note
 from gavatar_runtime.play.outputs import OUTPUTS
@@ -39,17 +40,25 @@ class BodyTraits:
 
 @dataclasses.dataclass(frozen=True)
 class EncoderTraits:
-    """static: it is no network; the avatar looks alike in every pose. not_exported: why an avatar with such an encoder
-    is not exported, '' if it is."""
+    """static: it is no network; the avatar looks alike in every pose. inputs: what it looks at, in the order of its
+    arguments, with the shapes of one pose's (`gavatar_runtime.decoding.pose_inputs.input_shapes`). prepares: its
+    `prepare` is called once before its first training step. not_exported: why an avatar with such an encoder is not
+    exported, '' if it is."""
 
     static: bool = False
+    inputs: dict[str, Shape] = dataclasses.field(default_factory=lambda: input_shapes("positional_map"))
+    prepares: bool = False
     not_exported: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
 class DecoderTraits:
-    """not_exported: why an avatar with such a decoder is not exported, '' if it is."""
+    """counts_steps: its `on_step` is called before each training step of stage 1. mixed_precision: it may be trained
+    under autocast to bfloat16 and gives float32 even then. not_exported: why an avatar with such a decoder is not
+    exported, '' if it is."""
 
+    counts_steps: bool = False
+    mixed_precision: bool = False
     not_exported: str = ""
 
 

@@ -78,11 +78,11 @@ class Registry(Generic[T]):
     """Components of one concept, by name.
 
     group: the Hydra group and the word used in messages, singular (`decoder`). traits: the frozen dataclass of what its
-    components can, every field with its default.
+    components can, every field with its default. base: the class that each component derives from, if it must.
     """
 
-    def __init__(self, group: str, traits: type = NoTraits):
-        self.group, self._traits = group, traits
+    def __init__(self, group: str, traits: type = NoTraits, *, base: type | None = None):
+        self.group, self._traits, self._base = group, traits, base
         self._components: dict[str, Component[T]] = {}
 
     def register(
@@ -109,6 +109,8 @@ class Registry(Generic[T]):
         can = self._as_function(name, traits)
 
         def decorate(factory: Callable[..., T]) -> Callable[..., T]:
+            if self._base is not None and not (isinstance(factory, type) and issubclass(factory, self._base)):
+                raise TypeError(f"{self.group} '{name}' is no class derived from {self._base.__name__}")
             former = self._components.get(name)
             if former is not None and former.origin != factory.__module__:
                 warnings.warn(

@@ -188,6 +188,8 @@ def set_threads(count: int) -> None:
 class Frame:
     """What a forward leaves for its backward, and buffers for the next frame: one at a time a frame in flight."""
 
+    handle: int | None = None
+
     def __init__(self):
         self._lib = library()
         self.handle = self._lib.gv_frame_new()
@@ -199,7 +201,7 @@ class Frame:
         return self._lib.gv_frame_bytes(self.handle)
 
     def __del__(self):
-        if getattr(self, "handle", None):
+        if self.handle:
             self._lib.gv_frame_free(self.handle)
             self.handle = None
 

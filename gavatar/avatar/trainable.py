@@ -19,6 +19,7 @@ from gavatar_runtime.values.surface import Surface
 
 from ..attributes import Attributes
 from ..body.skeleton import Skeleton
+from ..registry import DecoderTraits, EncoderTraits
 from .blendshapes import expression_of, pose_blendshapes_of, shape_of
 from .torch_skinning import can_skin_sparse, skin, skin_rotations, skin_sparse, skinning_weights
 from .uv_sampling import Sampler
@@ -62,14 +63,25 @@ class Pose:
 class Avatar(nn.Module):
     """One person's avatar. Its parameters: `features`, `smooth`, `encoder`, `decoder`; all else is derived.
 
-    encoder: None for a static avatar. The sampled surface is not part of the state: `sample_at` may replace it by a
-    denser or sparser sampling of the same body at any time (coarse-to-fine training, level of detail).
+    encoder: None for a static avatar. encoder_traits, decoder_traits: what these can. The sampled surface
+    is not part of the state: `sample_at` may replace it by a denser or sparser sampling of the same body at any time
+    (coarse-to-fine training, level of detail).
     """
 
-    def __init__(self, config: AvatarConfig, skeleton: Skeleton, encoder: nn.Module | None, decoder: nn.Module):
+    def __init__(
+        self,
+        config: AvatarConfig,
+        skeleton: Skeleton,
+        encoder: nn.Module | None,
+        decoder: nn.Module,
+        encoder_traits: EncoderTraits | None = None,
+        decoder_traits: DecoderTraits | None = None,
+    ):
         super().__init__()
         self.config, self.skeleton = config, skeleton
         self.encoder, self.decoder = encoder, decoder
+        self.encoder_traits = encoder_traits or EncoderTraits(static=encoder is None)
+        self.decoder_traits = decoder_traits or DecoderTraits()
         self.with_normals = False  # whether `pose` gives normals, for rasterizers that want them
         size = config.feature_size
         features = config.init_std * torch.randn(1, config.features, size, size)
@@ -129,7 +141,7 @@ class Avatar(nn.Module):
         return Attributes(out.offsets.view(B, N, 3), out.colors.view(B, N, 3), scales, rotations)
 
     def encode(self, *inputs: Tensor) -> Tensor | None:
-        """The encoder's inputs (`encoder_inputs`) -> pose features, or None for a static avatar."""
+        """The encoder's inputs (`encoder_traits.inputs`) -> pose features, or None for a static avatar."""
         return None if self.encoder is None else self.encoder(*inputs)
 
     def pose(self, attributes: Attributes, pose: Pose, betas_change: Tensor | None = None) -> list[Gaussians]:

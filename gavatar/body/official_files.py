@@ -229,5 +229,6 @@ def official_body(family: str, config: Any) -> tuple[BodyData, str]:
     if config.num_betas < 0:
         raise UserError(f"body.num_betas={config.num_betas}: give a number of coefficients, 0 for all")
     options = {"num_betas": config.num_betas, "uv": config.uv, "folders": tuple(search_folders(config.path))}
-    options |= {key: getattr(config, key) for key in ("hands", "num_expression") if hasattr(config, key)}
+    given = dataclasses.asdict(config)
+    options |= {key: given[key] for key in ("hands", "num_expression") if key in given}
     return _cached(family, str(path), path.stat().st_mtime_ns, tuple(options.items())), chosen.license

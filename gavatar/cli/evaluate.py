@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gavatar_runtime.errors import UserError, exit_cleanly
 
@@ -46,40 +46,38 @@ def parser() -> argparse.ArgumentParser:
     return parser
 
 
-def evaluate_one(arguments: argparse.Namespace, directory: Path, out: Path) -> Evaluation:
-    """Evaluate a run and write evaluation.json and .png to `out`."""
+def evaluate_one(
+    directory: Path, out: Path, *, stage: int | None = None, capture: str | None = None, **how: Any
+) -> Evaluation:
+    """Evaluate a run and write evaluation.json and .png to `out`. how: keywords of `TrainedRun.evaluate`."""
     from ..evaluation.evaluation_figure import evaluation_figure
     from ..face import open_run
 
-    result = open_run(directory, arguments.stage, arguments.capture).evaluate(
-        arguments.splits,
-        fit_steps=0 if arguments.no_fit else arguments.fit_steps,
-        perceptual=not arguments.no_perceptual,
-        rasterizer=arguments.rasterizer,
-    )
+    result = open_run(directory, stage, capture).evaluate(**how)
     result.write(out / "evaluation.json")
     evaluation_figure(result, out / "evaluation.png")
     return result
 
 
-def evaluate_all(arguments: argparse.Namespace, folder: Path) -> int:
-    """Evaluate every run in a folder; those that cannot be are named, and the rest go on. 2 when there are such."""
+def evaluate_all(folder: Path, out: Path | None, **how: Any) -> int:
+    """Evaluate every run in a folder; those that cannot be are named, and the rest go on. 2 when there are such. out:
+    where to write instead of beside each run. how: keywords of `evaluate_one`."""
     from ..evaluation.comparison import Comparison, runs_in
 
-    out, comparison, failures = Path(arguments.out or folder), Comparison(), []
+    together, comparison, failures = out or folder, Comparison(), []
     for directory in runs_in(folder):
         name = directory.relative_to(folder).as_posix()
         print(f"evaluating {directory}", file=sys.stderr)
         try:
-            place = out / name if arguments.out else directory
-            comparison.add(name, evaluate_one(arguments, directory, place))
+            place = directory if out is None else out / name
+            comparison.add(name, evaluate_one(directory, place, **how))
         except UserError as error:
             failures.append(f"{directory}: {error}")
     if comparison.rows:
-        comparison.write_csv(out / "comparison.csv")
-        comparison.write_json(out / "comparison.json")
+        comparison.write_csv(together / "comparison.csv")
+        comparison.write_json(together / "comparison.json")
         print(comparison)
-        print(f"\nwrote {out / 'comparison.csv'} and {out / 'comparison.json'}")
+        print(f"\nwrote {together / 'comparison.csv'} and {together / 'comparison.json'}")
     for sentence in failures:
         print(f"error: {sentence}", file=sys.stderr)
     return 2 if failures else 0
@@ -92,12 +90,19 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser().parse_args(argv)
     if arguments.fit_steps < 1:
         raise UserError("--fit-steps must be at least 1; leave fitting out with --no-fit")
+    how = {
+        "stage": arguments.stage,
+        "splits": arguments.splits,
+        "fit_steps": 0 if arguments.no_fit else arguments.fit_steps,
+        "perceptual": not arguments.no_perceptual,
+        "rasterizer": arguments.rasterizer,
+    }
     if arguments.all:
         if arguments.capture is not None:
             raise UserError("--capture is of one run: leave it out with --all")
-        return evaluate_all(arguments, Path(arguments.run))
+        return evaluate_all(Path(arguments.run), Path(arguments.out) if arguments.out else None, **how)
     out = Path(arguments.out or arguments.run)
-    result = evaluate_one(arguments, Path(arguments.run), out)
+    result = evaluate_one(Path(arguments.run), out, capture=arguments.capture, **how)
     print(result)
     print(f"\nwrote {out / 'evaluation.json'} and {out / 'evaluation.png'}")
     return 0

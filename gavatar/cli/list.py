@@ -46,9 +46,13 @@ def option_rows(config: type) -> list[dict[str, Any]]:
             default = field.default_factory()
         else:
             default = None if required else field.default
-        kind = field.type if isinstance(field.type, str) else getattr(field.type, "__name__", str(field.type))
+        kind = field.type if isinstance(field.type, str) else _type_name(field.type)
         rows.append({"name": field.name, "type": kind, "default": default, "required": required})
     return rows
+
+
+def _type_name(kind: Any) -> str:
+    return kind.__name__ if isinstance(kind, type) else str(kind)
 
 
 @functools.cache
@@ -64,7 +68,7 @@ def distribution_of(module: str) -> str:
 
 
 def _holders_of_file(module: str) -> list[str]:
-    source = getattr(sys.modules.get(module), "__file__", None)
+    source = sys.modules[module].__file__ if module in sys.modules else None
     tail = module.replace(".", "/") + ".py"
     held = []
     for distribution in importlib.metadata.distributions():

@@ -92,14 +92,13 @@ def _slice(text: str) -> slice:
     return slice(*parts)
 
 
-def _body(arguments: argparse.Namespace) -> dict[str, Any]:
-    """The body as one value: its name and the options that were given."""
+def _body(name: str | None, **options: str | None) -> dict[str, Any]:
+    """The body as one value: its name and the options that were given, path and gender."""
     from ..registry import BODIES, load_plugins
 
     load_plugins()
-    options = {"path": arguments.body_path, "gender": arguments.gender}
     options = {key: value for key, value in options.items() if value is not None}
-    name = arguments.body or BODIES.having(shipped=True)[0]
+    name = name or BODIES.having(shipped=True)[0]
     takes = {field.name for field in dataclasses.fields(BODIES[name].config)}
     if not takes.issuperset(options):
         raise UserError(
@@ -136,9 +135,10 @@ def main(argv: list[str] | None = None) -> int:
 
     named = ("height", "fps", "max_frames", "size", "landmarks", "masks", "cameras", "fov", "refine_cameras",
              "holdout_camera", "pose_network", "num_betas", "name", "license", "preview", "overwrite")  # fmt: skip
-    options = {name: getattr(arguments, name) for name in named}
+    options = {name: value for name, value in vars(arguments).items() if name in named}
     frames = _slice(arguments.frames)
-    body, flags = _body(arguments), as_flags(vars(arguments))
+    body = _body(arguments.body, path=arguments.body_path, gender=arguments.gender)
+    flags = as_flags(vars(arguments))
     with options_spelled(flags):
         print(prepare(arguments.source, arguments.out, frames=frames, body=body, progress=not arguments.quiet,
                       say=lambda sentence: print(spelled(sentence, flags)), **options))  # fmt: skip

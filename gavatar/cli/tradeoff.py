@@ -71,7 +71,8 @@ def main(argv: list[str] | None = None) -> int:
     bundle = read_bundle(path)
     capture = open_capture(a.capture) if a.capture else None
     if a.motion:
-        motion = read_motion(a.motion)
+        with options_spelled(lambda name, value: f"gavatar-motion convert --set {name}={value or 'VALUE'}"):
+            motion = read_motion(a.motion)
     else:
         motion = (capture.truth or capture.motion) if capture else read_motion(MOTIONS.having(varied=True)[0])
     motion = Avatar(bundle, tier=None).fit(motion)[0]

@@ -19,7 +19,6 @@ from gavatar_runtime.tiers.blendshape import Coefficients, pose_input, turn_inpu
 from gavatar_runtime.values.body import SMPL_BODY_JOINTS
 from gavatar_runtime.values.surface import Surface
 
-from ..attributes import encoder_inputs
 from ..protocols import TierSource
 from .tier_source import joint_of_points, upsampling
 
@@ -54,7 +53,7 @@ def distil(
     flat = [_coefficients(residual, bases, part) for residual in residuals.of(further, "distilling far poses")]
     flat = np.concatenate([coefficients, np.reshape(flat, (len(further), -1)).astype(np.float32)])
     # the root's rotation matters where the look depends on where the person faces
-    facing = "normal_map" in encoder_inputs(source.avatar.encoder)
+    facing = "normal_map" in source.avatar.encoder_traits.inputs
     body = _Body(np.asarray(coarse.parents), owners, np.arange(0 if facing else 1, SMPL_BODY_JOINTS))
     real, every = len(source.train_poses), np.concatenate([poses, further])
     arrays = _fit(every, flat, real, body, facing, width, steps, source.progress)

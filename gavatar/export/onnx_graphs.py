@@ -20,7 +20,6 @@ from gavatar_runtime.decoding.pose_inputs import input_shape
 from gavatar_runtime.tiers.members import OUTPUTS, POSE_FEATURES
 from gavatar_runtime.values.surface import Surface
 
-from ..attributes import encoder_inputs
 from ..avatar.trainable import Avatar
 from ..avatar.uv_sampling import bilinear, sample_uv
 
@@ -137,7 +136,7 @@ def encoder_model(avatar: Avatar, *, shuffle: bool = False) -> onnx.ModelProto:
     """The encoder's inputs of one pose, by name -> pose_features (1, C, M, M). shuffle: `subpixel` convolutions, which
     are slower in float32 (28 ms against 18) and what 8-bit arithmetic needs: ONNX Runtime has no ConvTranspose in it.
     """
-    names = encoder_inputs(avatar.encoder)
+    names = avatar.encoder_traits.inputs
     example = tuple(torch.zeros(1, *input_shape(name, avatar.encoder.map_size)) for name in names)
     encoder = fold_batchnorm(avatar.encoder)
     if shuffle:

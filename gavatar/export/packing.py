@@ -16,7 +16,6 @@ from gavatar_runtime.bundle import (
     pack_surfaces,
 )
 
-from ..attributes import encoder_inputs
 from ..avatar.blendshapes import expression_of, pose_blendshapes_of
 from ..registry import ENCODERS, RASTERIZERS, split_node
 from ..training.run import Run
@@ -31,7 +30,7 @@ def manifest_of(run: Run) -> Manifest:
     (static,) = ENCODERS.having(static=True)
     components = {"encoder": config.encoder["name"] if dynamic else static, "decoder": config.decoder["name"]}
     if dynamic:
-        components["encoder_inputs"] = list(encoder_inputs(run.avatar.encoder))
+        components["encoder_inputs"] = list(run.avatar.encoder_traits.inputs)
     rasterizer = RASTERIZERS.traits(*split_node(config.rasterizer))
     return Manifest(
         name=run.capture.name,
@@ -84,7 +83,7 @@ def members_of(run: Run, manifest: Manifest) -> dict[str, bytes]:
     if manifest.dynamic:
         members[ENCODER] = with_metadata(encoder_model(avatar), metadata)
         encoder_map = run.built.surface(avatar.encoder.map_size)
-        sees_normals = "normal_map" in encoder_inputs(avatar.encoder)
+        sees_normals = "normal_map" in avatar.encoder_traits.inputs
     members[SURFACE] = pack_surfaces(avatar.surface, encoder_map, sees_normals)
     joints = data.shaped(betas)[1]
     members[BODY] = pack_body(data.joint_names, data.parents, joints, betas, data.rest_pose, data.hands)

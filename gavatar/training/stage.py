@@ -109,14 +109,13 @@ class Stage:
 
     def _prepare_encoder(self) -> None:
         scene, encoder = self.scene, self.scene.avatar.encoder
-        prepare = getattr(encoder, "prepare", None)
-        if prepare is None:
+        if not scene.avatar.encoder_traits.prepares:
             return
         frames = scene.frames_of(self.rows)
         cameras = [scene.footage.capture.camera(scene.views[row]) for row in self.rows]
         surface = scene.built.surface(encoder.map_size)
         seen = facing_texels(surface, scene.motion.motion(), frames, cameras).to(scene.device)
-        prepare(surface, seen, *scene.encoder_inputs(frames))
+        encoder.prepare(surface, seen, *scene.encoder_inputs(frames))
 
     def _run_steps(self, start: int) -> None:
         plan, record, steps = self.plan, self.record, self.plan.stage.steps
@@ -169,9 +168,8 @@ class Stage:
         for name, rates in self._rates.items():
             for group, rate in zip(self.optimizers[name].param_groups, rates, strict=True):
                 group["lr"] = rate * factor
-        on_step = getattr(self.scene.avatar.decoder, "on_step", None)
-        if on_step is not None and not self.plan.dynamic:
-            on_step(step)
+        if self.scene.avatar.decoder_traits.counts_steps and not self.plan.dynamic:
+            self.scene.avatar.decoder.on_step(step)
         return level.image
 
     def _mend(self, image: float) -> None:

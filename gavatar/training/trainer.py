@@ -48,7 +48,7 @@ class Trainer:
         self.losses = LossComposer(config.losses)
         built = build_avatar(config.body, config.encoder, config.decoder, config.avatar, capture, config.seed)
         self.capture = capture_on_body(capture, built.body.data)
-        built.avatar.to(device).mixed_precision = mixed(config.precision, built.avatar.decoder, device)
+        built.avatar.to(device).mixed_precision = mixed(config.precision, config.decoder, device)
         self.scene = training_scene(config, built, self.capture, views)
         self.plans = stage_plans(config, dynamic=built.avatar.encoder is not None)
         self.poses = PoseLearner(self.scene, config.motion)

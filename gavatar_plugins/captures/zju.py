@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sized
 from pathlib import Path
 from typing import Any
 
@@ -175,7 +176,7 @@ def _annots(path: Path) -> dict:
         raise UserError(*(f"{path}: field '{f}' is missing: expected a dictionary of cams and ims" for f in missing))
     cams, fields = content["cams"], ("K", "D", "R", "T")
     require(path, cams, fields, "cams: ")
-    counts = {field: len(cams[field]) if hasattr(cams[field], "__len__") else 0 for field in fields}
+    counts = {field: len(cams[field]) if isinstance(cams[field], Sized) else 0 for field in fields}
     most = max(counts.values())
     faulty = [
         f"{path}: cams: {field} holds {counts[field]} cameras" + (f", others {most}" if most else "")

@@ -35,10 +35,11 @@ class MlpConfig:
 
 def _traits(config: MlpConfig) -> DecoderTraits:
     if not config.anisotropic:
-        return DecoderTraits()
+        return DecoderTraits(mixed_precision=True)
     return DecoderTraits(
+        mixed_precision=True,
         not_exported="its Gaussians are anisotropic (decoder.anisotropic=true), which the player does not draw; train "
-        "it without that option to export it"
+        "it without that option to export it",
     )
 
 
@@ -49,8 +50,6 @@ class MlpDecoder(nn.Module):
     """ReLU multilayer perceptron. Offsets are `offset_limit * tanh`, colours a sigmoid, scales a sigmoid between
     `scale_floor` and `scale_limit` times the spacing: bounded by construction, so that no pose can make the avatar
     explode, and independent of the UV resolution it was trained at."""
-
-    mixed_precision = True
 
     def __init__(self, config: MlpConfig, *, in_channels: int):
         super().__init__()

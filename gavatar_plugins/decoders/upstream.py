@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from gavatar.attributes import Attributes
-from gavatar.registry import DECODERS
+from gavatar.registry import DECODERS, DecoderTraits
 
 
 @dataclasses.dataclass
@@ -25,7 +25,12 @@ def _block(inside: int, outside: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(inside, outside), nn.BatchNorm1d(outside), nn.Softplus())
 
 
-@DECODERS.register("upstream", config=UpstreamConfig, summary="5 shared layers of 128 + UV, BatchNorm, Softplus")
+@DECODERS.register(
+    "upstream",
+    config=UpstreamConfig,
+    summary="5 shared layers of 128 + UV, BatchNorm, Softplus",
+    traits=DecoderTraits(counts_steps=True),
+)
 class UpstreamDecoder(nn.Module):
     """Features and UV pass five shared layers, the input joining again before the fifth; three heads 128-128-out.
 

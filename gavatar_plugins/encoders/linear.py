@@ -12,7 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from gavatar.avatar.points import check_resolution
-from gavatar.registry import ENCODERS
+from gavatar.registry import ENCODERS, EncoderTraits
+from gavatar_runtime.decoding.pose_inputs import input_shapes
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.values.body import SMPL_BODY_JOINTS
 from gavatar_runtime.values.surface import Surface
@@ -35,7 +36,16 @@ class LinearConfig:
     map_size: int = 64
 
 
-@ENCODERS.register("linear", config=LinearConfig, summary="maps weighted by each texel's light and by nearby joints")
+def _inputs(config: LinearConfig) -> tuple[str, ...]:
+    return (("normal_map",) if config.order else ()) + (("joint_rotations",) if config.bases else ())
+
+
+@ENCODERS.register(
+    "linear",
+    config=LinearConfig,
+    summary="maps weighted by each texel's light and by nearby joints",
+    traits=lambda config: EncoderTraits(inputs=input_shapes(*_inputs(config)), prepares=True),
+)
 class LinearEncoder(nn.Module):
     """features(u, v) = sum_k clamp(w_k(u, v) - mean_k(u, v)) F_k(u, v), the maps F = GAIN * `maps` learned from zero.
 
@@ -51,7 +61,7 @@ class LinearEncoder(nn.Module):
         super().__init__()
         _check(config)
         self.config, self.map_size = config, config.map_size
-        self.inputs = (("normal_map",) if config.order else ()) + (("joint_rotations",) if config.bases else ())
+        self.inputs = _inputs(config)
         M, J, K = config.map_size, SMPL_BODY_JOINTS, config.bases
         count = (config.order + 1) ** 2 - 1 + K
         self.maps = nn.Parameter(torch.zeros(count, channels, M, M))

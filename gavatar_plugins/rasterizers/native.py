@@ -135,11 +135,13 @@ def _enlarged(color: Tensor, alpha: Tensor, depth: Tensor, camera: Camera) -> tu
 class _Lease:
     """A frame in the hands of one autograd node; goes back to the rasterizer when the node does."""
 
+    frame: nl.Frame | None = None
+
     def __init__(self, owner: NativeRasterizer):
         self.owner, self.frame = owner, owner.take_frame()
 
     def __del__(self):
-        if hasattr(self, "frame"):
+        if self.frame is not None:
             self.owner.give_frame(self.frame)
 
 

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 import numpy as np
 import onnx
 
-from gavatar.attributes import encoder_inputs
 from gavatar.export.onnx_graphs import decoder_model, encoder_model
 from gavatar.export.quantization import quantized
 from gavatar.protocols import TierBuilder, TierSource
@@ -55,7 +54,7 @@ class Int8Builder(TierBuilder):
 
         encoder = encoder_model(avatar, shuffle=self.options.encoder)
         if self.options.encoder:
-            names = encoder_inputs(avatar.encoder)
+            names = tuple(avatar.encoder_traits.inputs)
             inputs = pose_inputs(source.surface_at(avatar.encoder.map_size), poses, names)
             rows = ({n: x[i : i + 1] for n, x in zip(names, inputs, strict=True)} for i in range(len(poses)))
             encoder = quantized(encoder, rows, ("Conv",))

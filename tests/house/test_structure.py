@@ -70,7 +70,7 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
 
 
 def room(module: str) -> str:
-    """The room that a module is of: a folder of its half with all below it, or itself where it lies beside the rooms."""
+    """The room that a module is of: a folder of its half with all below it; one that lies beside these is its own."""
     return ".".join(module.split(".")[:2])
 
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import pytest
 import torch
 from loss_inputs import motion
+from tiny_capture import demo
 
+from gavatar.assemble import build_avatar
+from gavatar.avatar.trainable import AvatarConfig
 from gavatar.capture.opening import open_capture
 from gavatar.losses import LossInputs, judging_poses
 from gavatar.registry import (
@@ -81,6 +85,35 @@ def test_a_static_encoder_is_no_network_and_any_other_is_one():
     for component in ENCODERS:
         built = ENCODERS.build(component.name, channels=4, map_size=None)
         assert (built is None) == component.default_traits.static, component.name
+
+
+def test_an_encoder_declares_its_inputs_with_their_shapes_by_its_options():
+    assert ENCODERS.traits("unet").inputs == {"positional_map": (3, "M", "M")}
+    assert list(ENCODERS.traits("linear", {"order": 0}).inputs) == ["joint_rotations"]
+    assert ENCODERS.traits("linear").inputs == {"normal_map": (3, "M", "M"), "joint_rotations": (22, 3, 3)}
+
+
+@pytest.mark.parametrize(
+    ("registry", "members", "traits"),
+    [
+        (DECODERS, {"on_step": lambda self, step: None}, "DecoderTraits(counts_steps=...)"),
+        (DECODERS, {"mixed_precision": True}, "DecoderTraits(mixed_precision=...)"),
+        (ENCODERS, {"prepare": lambda self, *given: None}, "EncoderTraits(prepares=...)"),
+        (ENCODERS, {"inputs": ("normal_map",)}, "EncoderTraits(inputs=...)"),
+    ],
+)
+def test_what_a_network_has_and_does_not_declare_is_refused(registry, members, traits):
+    made = type("Made", (torch.nn.Module,), {"__init__": lambda self, *a, **b: super(made, self).__init__(), **members})
+    registry.register("silent")(made)
+    names = {"encoder": "none", "decoder": "mlp"} | {registry.group: "silent"}
+    try:
+        with pytest.raises(UserError, match=re.escape(traits)):
+            build_avatar(
+                {"name": "free"}, {"name": names["encoder"]}, {"name": names["decoder"]},
+                AvatarConfig(), open_capture(demo()), 0,
+            )  # fmt: skip
+    finally:
+        registry.forget("silent")
 
 
 def test_decoders_are_exported_unless_an_option_forbids_it():

@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UserError, exit_cleanly, options_spelled
+from ..errors import UserError, exit_cleanly, options_spelled, spelled
 
 if TYPE_CHECKING:
     from ..values.motion import HandParameters, Motion
@@ -57,21 +57,23 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
     from ..motions.source import motion_source
-    from .settings import as_settings, parse_settings
+    from .settings import as_motion_options, parse_settings
 
     options = parse_settings([f"motion.{setting.removeprefix('motion.')}" for setting in arguments.set])["motion"]
     if arguments.rest:
         options["rest"] = arguments.rest
-    with options_spelled(as_settings("motion.")):
+    with options_spelled(as_motion_options):
         source = motion_source(arguments.motion, **options)
         motion = source.load()
+    motion = dataclasses.replace(motion, notes=tuple(spelled(note, as_motion_options) for note in motion.notes))
     if arguments.command == "info":
-        values = {**describe(motion), "read_as": getattr(source, "facts", {}), "notes": list(motion.notes)}
+        values = {**describe(motion), "read_as": dict(source.facts), "notes": list(motion.notes)}
         print(json.dumps(values, indent=1) if arguments.json else _table(values))
         return 0
     for note in motion.notes:
         print(f"note: {note}")
-    return _convert(arguments, motion)
+    a = arguments
+    return _convert(motion, a.out, fps=a.fps, joints=a.joints, avatar=a.on, ground=a.ground, overwrite=a.overwrite)
 
 
 def describe(motion: Motion) -> dict[str, Any]:
@@ -129,48 +131,49 @@ def _table(values: dict[str, Any]) -> str:
     )
 
 
-def _convert(arguments: argparse.Namespace, motion: Motion) -> int:
+def _convert(
+    motion: Motion, out: Path, *, fps: float | None, joints: str, avatar: str | None, ground: bool, overwrite: bool
+) -> int:
     from ..motions.fitting import fit_motion
     from ..motions.motion_file import write_motion
     from ..values.skeletons import SKELETONS as NAMES
 
-    out = arguments.out
     if out.suffix.lower() != ".npz":
         raise UserError(f"{out}: the file that is written is an .npz: give it that suffix")
-    if arguments.ground and not arguments.on:
+    if ground and not avatar:
         raise UserError("--ground needs --on AVATAR: how high a motion stands depends on the body")
-    if arguments.on and arguments.joints != "same":
+    if avatar and joints != "same":
         raise UserError("--on says which joints are written: leave --joints out")
-    if out.exists() and not arguments.overwrite:
+    if out.exists() and not overwrite:
         raise UserError(f"{out} exists: choose another name or replace it with --overwrite")
-    if arguments.fps is not None:
-        if not 0 < arguments.fps < 1e6:
-            raise UserError(f"--fps {arguments.fps:g}: give a positive number of frames per second")
-        motion = motion.resampled(arguments.fps)
-    if arguments.on:
-        motion = _on_avatar(arguments, motion)
-    elif arguments.joints != "same":
+    if fps is not None:
+        if not 0 < fps < 1e6:
+            raise UserError(f"--fps {fps:g}: give a positive number of frames per second")
+        motion = motion.resampled(fps)
+    if avatar:
+        motion = _on_avatar(motion, avatar, ground)
+    elif joints != "same":
         # what no skeleton tells stays as it is: a body will
         kept = {"expression": motion.expression, "hands": motion.hands}
-        motion, ignored = fit_motion(dataclasses.replace(motion, expression=None, hands=None), NAMES[arguments.joints])
+        motion, ignored = fit_motion(dataclasses.replace(motion, expression=None, hands=None), NAMES[joints])
         motion = dataclasses.replace(motion, **kept)
         if ignored:
-            print(f"note: {arguments.joints} has no {', '.join(ignored)}; the motion's are ignored")
+            print(f"note: {joints} has no {', '.join(ignored)}; the motion's are ignored")
     write_motion(out, motion)
     print(f"{out}: {len(motion)} frames at {motion.fps:g} a second, {motion.poses.shape[1]} joints, y-up, metres")
     return 0
 
 
-def _on_avatar(arguments: argparse.Namespace, motion: Motion) -> Motion:
-    """The motion as that avatar would play it."""
+def _on_avatar(motion: Motion, bundle: str, ground: bool) -> Motion:
+    """The motion as the avatar of that bundle would play it. ground: standing on the floor."""
     from ..avatar.playing import Avatar
     from ..play.grounding import grounded
 
-    avatar = Avatar(arguments.on)
+    avatar = Avatar(bundle)
     motion, ignored = avatar.fit(motion)
     if ignored:
         print(f"note: {avatar.name} has no {', '.join(ignored)}; the motion's are ignored")
-    if arguments.ground:
+    if ground:
         motion, lift = grounded(avatar, motion)
         print(f"note: moved {'up' if lift >= 0 else 'down'} by {abs(lift):.3f} m, on the floor")
     return motion

@@ -8,7 +8,7 @@ from time import perf_counter
 
 from ..errors import exit_cleanly, options_spelled, spelled
 from .play_arguments import parser
-from .settings import as_flags, as_settings, parse_settings
+from .settings import as_flags, as_motion_options, parse_settings
 
 OURS = ("avatar", "motion", "out", "rest", "set", "json", "quiet")  # the other arguments are keywords of `perform`
 
@@ -28,8 +28,9 @@ def main(argv: list[str] | None = None) -> int:
     from .play_report import FrameBar, as_json, table
 
     quiet, flags = arguments["quiet"], as_flags(arguments)
-    with options_spelled(as_settings("motion.")):
+    with options_spelled(as_motion_options):  # before those of `perform`, whose --fps is another
         motion = read_motion(arguments["motion"] or MOTIONS.default, **settings["motion"])
+    motion = dataclasses.replace(motion, notes=tuple(spelled(note, as_motion_options) for note in motion.notes))
     earlier = perf_counter() - start
     with options_spelled(flags):
         report = perform(
@@ -42,7 +43,8 @@ def main(argv: list[str] | None = None) -> int:
             tell=None if quiet else lambda note: print(f"note: {spelled(note, flags)}", file=sys.stderr),
             **{name: value for name, value in arguments.items() if name not in OURS},
         )
-    report = dataclasses.replace(report, ready_seconds=earlier + report.ready_seconds)
+    notes = tuple(spelled(note, flags) for note in report.notes)
+    report = dataclasses.replace(report, ready_seconds=earlier + report.ready_seconds, notes=notes)
     if arguments["json"]:
         write_json(arguments["json"], as_json(report))
     if not quiet:

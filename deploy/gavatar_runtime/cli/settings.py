@@ -50,6 +50,11 @@ def as_flags(names: Iterable[str]) -> Spelling:
     return spelling
 
 
+def as_motion_options(name: str, value: str) -> str:
+    """An option of a motion as commands have it: `rest=offsets` is --rest offsets, `fps=3` is --set motion.fps=3."""
+    return as_flags(["rest"])(name, value) or as_settings("motion.")(name, value)
+
+
 def as_settings(prefix: str) -> Spelling:
     """Options as settings: `fps=3` is --set motion.fps=3 with the prefix `motion.`."""
     return lambda name, value: f"--set {prefix}{name}={value or 'VALUE'}"

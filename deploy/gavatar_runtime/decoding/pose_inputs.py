@@ -5,6 +5,7 @@ The inputs of encoder.onnx are named after `INPUTS`; an encoder has any of them,
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -31,19 +32,43 @@ def _channels_first(image: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(image, -1, -3))
 
 
-INPUTS: dict[str, Callable[[Surface, np.ndarray], np.ndarray]] = {
-    # (..., 3, M, M) metres, in the frame of the root: neither place nor facing is seen
-    "positional_map": lambda surface, poses: _channels_first(positional_map(surface, poses)),
-    # (..., 3, M, M) unit normals in the world: what light falls from is seen
-    "normal_map": lambda surface, poses: _channels_first(normal_map(surface, poses)),
-    # (..., 22, 3, 3)
-    "joint_rotations": lambda surface, poses: joint_rotations(poses),
+Shape = tuple[int | str, ...]  # of one pose's input; SIDE stands for the texels along a side of the encoder's maps
+SIDE = "M"
+_MAP: Shape = (3, SIDE, SIDE)
+
+
+@dataclasses.dataclass(frozen=True)
+class InputKind:
+    """shape: of one pose's. compute: from the surface of the maps and poses (..., J, 3), float32."""
+
+    shape: Shape
+    compute: Callable[[Surface, np.ndarray], np.ndarray]
+
+    def __call__(self, surface: Surface, poses: np.ndarray) -> np.ndarray:
+        """(..., *shape) float32."""
+        return self.compute(surface, poses)
+
+
+INPUTS: dict[str, InputKind] = {
+    # metres, in the frame of the root: neither place nor facing is seen
+    "positional_map": InputKind(
+        (3, SIDE, SIDE), lambda surface, poses: _channels_first(positional_map(surface, poses))
+    ),
+    # unit normals in the world: what light falls from is seen
+    "normal_map": InputKind(_MAP, lambda surface, poses: _channels_first(normal_map(surface, poses))),
+    "joint_rotations": InputKind((SMPL_BODY_JOINTS, 3, 3), lambda surface, poses: joint_rotations(poses)),
 }
+
+
+def input_shapes(*names: str) -> dict[str, Shape]:
+    """The shapes of the named inputs, as an encoder declares what it looks at. UserError for a name that is none."""
+    check_inputs(names, "the encoder")
+    return {name: INPUTS[name].shape for name in names}
 
 
 def input_shape(name: str, size: int) -> tuple[int, ...]:
     """The shape of one pose's input, its map `size` texels wide and high."""
-    return (SMPL_BODY_JOINTS, 3, 3) if name == "joint_rotations" else (3, size, size)
+    return tuple(size if side == SIDE else side for side in INPUTS[name].shape)
 
 
 def pose_inputs(surface: Surface, poses: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, ...]:

@@ -14,7 +14,7 @@ from ..errors import UserError, WrongValue
 from ..geometry.rotations import axis_angle_from_quaternion, quaternion_from_axis_angle
 from ..values.motion import Motion
 from ..values.skeletons import FINGERS, SMPLH
-from .source import MOTIONS, MotionTraits
+from .source import MOTIONS, MotionSource, MotionTraits
 
 # Degrees about x, y, z of left-hand joints; the right side mirrors them. A standing person's arms hang a palm's width
 # off the hips, turned in by their own weight, elbows and fingers never quite straight.
@@ -39,10 +39,8 @@ class TurnOptions:
 
 
 @MOTIONS.register("turn", config=TurnOptions, summary="a full turn about the vertical, arms hanging", default=True)
-class Turn:
+class Turn(MotionSource):
     """A full turn to the person's left in a relaxed pose; the frame after the last would be the first."""
-
-    suffixes = ()
 
     def __init__(self, config: TurnOptions):
         self.config = config
@@ -69,11 +67,9 @@ class WaveOptions:
     summary="the right hand waves, the body sways a little; loops",
     traits=MotionTraits(varied=True),
 )
-class Wave:
+class Wave(MotionSource):
     """The right forearm stands up and swings about the elbow, the hand trailing behind; the weight shifts from foot to
     foot once a loop. The frame after the last would be the first."""
-
-    suffixes = ()
 
     def __init__(self, config: WaveOptions):
         if not isinstance(config.waves, int) or config.waves < 0:

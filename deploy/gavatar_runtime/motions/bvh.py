@@ -12,7 +12,7 @@ from ..rigs.retarget import missing_limbs, retarget
 from ..rigs.rig_names import match_rig, pelvis_of, read_mapping
 from ..values.motion import Motion
 from .plausible import UNITS, asked_rate, stated_rate
-from .source import MOTIONS
+from .source import MOTIONS, MotionSource
 
 AXES = ("auto", "x", "y", "z", "-x", "-y", "-z")
 
@@ -32,7 +32,7 @@ class BvhOptions:
 
 
 @MOTIONS.register("bvh", config=BvhOptions, summary="BVH, retargeted by joint names (CMU, Mixamo and other rigs)")
-class BvhFile:
+class BvhFile(MotionSource):
     """A file of one person, 52 SMPL-H joints when read. facts: which rest pose was taken and why, once it is read."""
 
     suffixes = (".bvh",)
@@ -57,7 +57,7 @@ class BvhFile:
         motion = retarget(bvh, mapping, up=self.config.up, scale=scale, name=self.path.stem, source=str(self.path))
         notes = bvh.notes
         if self.config.rest == "auto" and rest != "offsets":
-            notes += (f"rest pose {rest}: {why}; --rest says another",)
+            notes += (f"rest pose {rest}: {why}; `rest` says another",)
         kept = {} if scale == 0 else {"leg_length": None}
         return dataclasses.replace(motion, fps=rate, notes=notes, **kept)
 

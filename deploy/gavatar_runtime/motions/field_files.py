@@ -20,7 +20,7 @@ from .fields import SmplFields
 from .persons import choose_person, without_gaps
 from .plausible import UNITS, asked_rate
 from .rotation_kinds import KINDS
-from .source import MOTIONS
+from .source import MOTIONS, MotionSource
 from .upright import check_up
 
 
@@ -41,10 +41,8 @@ class FieldOptions:
     hand_mean: str = "auto"
 
 
-class FieldFile:
+class FieldFile(MotionSource):
     """A file of one of the containers. facts: the tool that wrote it and the person taken, once it is read."""
-
-    suffixes: tuple[str, ...] = ()
 
     def __init__(self, config: FieldOptions, *, path: Path):
         check_up(config.up)

@@ -201,8 +201,8 @@ class SmplFields(HandFields):
         if key is None:
             if frames != 1:
                 self.notes.append(
-                    f"the file states no frame rate: {ASSUMED_FPS:g} a second are taken; --set motion.fps=25 (or what "
-                    "it is) says another"
+                    f"the file states no frame rate: {ASSUMED_FPS:g} a second are taken; `fps=25` (or what it is) "
+                    "says another"
                 )
             return ASSUMED_FPS
         value = self.numbers(key)

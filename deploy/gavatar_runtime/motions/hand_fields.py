@@ -66,8 +66,7 @@ class HandFields(FieldReader):
         relative = {"flat": False, "mean": True, "auto": not self._flag(FLAT_KEY, not pca)}[self.hand_mean]
         if not 1 <= width <= 45 or (not pca and width != 45):
             raise UserError(
-                f"{self.path}: {name}: {width} numbers a hand; expected 45, or up to 45 coefficients "
-                "(--set motion.hands=pca)"
+                f"{self.path}: {name}: {width} numbers a hand; expected 45, or up to 45 coefficients (`hands=pca`)"
             )
         return HandParameters(values, pca, relative)
 

@@ -25,7 +25,7 @@ def choose_person(path: Path, people: list[Person], wanted: str) -> tuple[Person
         if chosen is None:
             labels = [person.label for person in people if person.label]
             if not labels:
-                raise UserError(f"{path} holds one person: leave --set motion.person={wanted} out")
+                raise UserError(f"{path} holds one person: leave `person={wanted}` out")
             raise UserError(f"{path} has no person '{wanted}': {did_you_mean(wanted, labels)}")
         return chosen, []
     longest = max(people, key=len)
@@ -35,8 +35,8 @@ def choose_person(path: Path, people: list[Person], wanted: str) -> tuple[Person
     named = ", ".join(f"{person.label} ({len(person)} frames)" for person in others[:10])
     named += f" and {len(others) - 10} more" if len(others) > 10 else ""
     return longest, [
-        f"{len(people)} persons: {longest.label} is taken, with most frames ({len(longest)}); --set "
-        f"motion.person={others[0].label} takes another of {named}"
+        f"{len(people)} persons: {longest.label} is taken, with most frames ({len(longest)}); "
+        f"`person={others[0].label}` takes another of {named}"
     ]
 
 

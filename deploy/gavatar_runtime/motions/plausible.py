@@ -30,7 +30,7 @@ def stated_rate(path: Path, name: str, fps: float, frames: int) -> float:
 
     UserError names the field and how another rate is given.
     """
-    way_out = "say the rate with --set motion.fps=30 (or what it is)"
+    way_out = "say the rate with `fps=30` (or what it is)"
     if not (np.isfinite(fps) and fps > 0):
         what = "positive number of seconds" if name == "Frame Time" else "one positive number of frames per second"
         raise UserError(f"{path}: {name} must be {'a ' if name == 'Frame Time' else ''}{what}; {way_out}")
@@ -40,7 +40,7 @@ def stated_rate(path: Path, name: str, fps: float, frames: int) -> float:
         count = ", as many as it has frames," if round(fps) == frames else ""
         raise UserError(f"{path}: {name} says {fps:g} frames a second{count} which no recording has; {way_out}")
     if fps < SLOWEST:
-        hint = f": is it the seconds of a frame, --set motion.fps={1 / fps:.4g}?" if fps > 1e-3 else ""
+        hint = f": is it the seconds of a frame, `fps={1 / fps:.4g}`?" if fps > 1e-3 else ""
         raise UserError(f"{path}: {name} says {fps:g} frames a second, less than one{hint or '; ' + way_out}")
     return float(fps)
 
@@ -59,16 +59,16 @@ def in_metres(path: Path, trans: np.ndarray, fps: float, units: str) -> tuple[np
             if max(height / 4, span / FAR) * UNITS[unit] <= 1 and (height > HIGH or _speed(trans, fps) > FAST):
                 what = f"trans is {height:.0f} high" if height > HIGH else f"trans goes {span:.0f} far"
                 return trans * np.float32(UNITS[unit]), [
-                    f"{what}: it is taken for {unit}, not metres; --set motion.units=m says otherwise"
+                    f"{what}: it is taken for {unit}, not metres; `units=m` says otherwise"
                 ]
     if max(height, span) > FARTHEST:
         raise UserError(
-            f"{path}: trans is up to {max(height, span):.3g} m away, where nobody is; --set motion.units=cm or mm says "
-            "what it is in"
+            f"{path}: trans is up to {max(height, span):.3g} m away, where nobody is; `units=cm` or mm says what it is "
+            "in"
         )
     if height > HIGH or span > FAR or _speed(trans, fps) > FAST:
         way = f"goes {span:.0f} m far, {height:.0f} m high, at {_speed(trans, fps):.0f} m a second"
-        return trans, [f"trans {way}: if it is not in metres, --set motion.units=cm or mm says so"]
+        return trans, [f"trans {way}: if it is not in metres, `units=cm` or mm says so"]
     return trans, []
 
 
@@ -87,7 +87,7 @@ def _speed(trans: np.ndarray, fps: float) -> float:
 _KNOWN_JOINTS = (21, 22, 23, 24, 51, 52, 54, 55)
 _WIDTHS = {
     **{4 * n: f"{n} quaternions, though not of length one" for n in _KNOWN_JOINTS},
-    **{6 * n: f"{n} joints in 6D (two columns of a rotation matrix): --set motion.rotations=6d or 6d-rows reads them"
+    **{6 * n: f"{n} joints in 6D (two columns of a rotation matrix): `rotations=6d` or 6d-rows reads them"
        for n in _KNOWN_JOINTS},
     **{9 * n: f"{n} matrices, though of no rotations" for n in _KNOWN_JOINTS},
     63: "21 joints: a body without its pelvis, whose rotation must stand in global_orient",
@@ -119,13 +119,13 @@ def check_angles(path: Path, key: str, poses: np.ndarray) -> list[str]:
     if largest > 2 * FULL_TURN:
         if largest < 1000:
             raise UserError(
-                f"{path}: {key} turns a joint by {largest:.0f} radians: if these are degrees, --set "
-                "motion.rotations=degrees reads them"
+                f"{path}: {key} turns a joint by {largest:.0f} radians: if these are degrees, "
+                "`rotations=degrees` reads them"
             )
         raise UserError(f"{path}: {key} turns a joint by {largest:.3g} radians: these are no rotations")
     if angle[:, 1:].max(initial=0.0) > FULL_TURN + 1e-3:
         return [
-            f"{key} turns a joint by {largest:.1f} radians, more than a full turn: if these are degrees, --set "
-            "motion.rotations=degrees reads them"
+            f"{key} turns a joint by {largest:.1f} radians, more than a full turn: if these are degrees, "
+            "`rotations=degrees` reads them"
         ]
     return []

@@ -32,7 +32,7 @@ def positions_refused(path: Path, key: str, joints: int) -> UserError:
     """The error for joint positions where rotations are needed."""
     return UserError(
         f"{path}: {key} holds positions of {joints} joints, not rotations: a motion needs what turned the joints; "
-        f"{MDM_WAY_OUT} (--set motion.rotations=axis-angle takes them for rotations all the same)"
+        f"{MDM_WAY_OUT} (`rotations=axis-angle` takes them for rotations all the same)"
     )
 
 

@@ -20,7 +20,7 @@ NUMBERS = {
     "6d-rows": 6,
 }
 _ORTHONORMAL = 1e-2  # how far R R^T of a matrix written in float16 lies from the identity, with room
-_SIX = "joints in 6D, two columns or two rows of their matrices: --set motion.rotations=6d or 6d-rows says which"
+_SIX = "joints in 6D, two columns or two rows of their matrices: `rotations=6d` or 6d-rows says which"
 
 
 def axis_angle(key: str, array: np.ndarray, kind: str = "auto") -> tuple[np.ndarray, str]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import abc
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from types import MappingProxyType
+from typing import Any, ClassVar, cast
 
 from ..components import Component, Registry
 from ..errors import MissingFile, UserError, WrongValue, did_you_mean
@@ -12,14 +15,19 @@ from ..plugins import load_entry_points
 from ..values.motion import Motion
 
 
-class MotionSource(Protocol):
-    """What a registered class does. A built-in motion is constructed as `factory(config)`; a file format has the class
-    attribute `suffixes`, lower case and with their dots, and is constructed as `factory(config, path=path)`; so is one
-    with the class attribute `folder = True`, which reads folders. It may have `facts`, what a user wants to know of how
-    it was read, by name, once it is."""
+class MotionSource(abc.ABC):
+    """What a registered class derives from. A built-in motion is constructed as `factory(config)`; one of files or
+    folders as `factory(config, path=path)`.
 
-    suffixes: tuple[str, ...]
+    suffixes: of the files it reads, lower case and with their dots. folder: it reads folders. facts: what a user wants
+    to know of how the motion was read, by name, once it is.
+    """
 
+    suffixes: ClassVar[tuple[str, ...]] = ()
+    folder: ClassVar[bool] = False
+    facts: Mapping[str, str] = MappingProxyType({})
+
+    @abc.abstractmethod
     def load(self) -> Motion:
         """The motion; UserError for whatever is wrong with the file or the options."""
 
@@ -31,7 +39,7 @@ class MotionTraits:
     varied: bool = False
 
 
-MOTIONS: Registry[MotionSource] = Registry("motion", MotionTraits)
+MOTIONS: Registry[MotionSource] = Registry("motion", MotionTraits, base=MotionSource)
 
 
 def read_motion(source: str | Path, **options: Any) -> Motion:
@@ -51,36 +59,34 @@ def motion_source(source: str | Path, **options: Any) -> MotionSource:
         component = _find(source)
     if component is None:
         raise WrongValue(_unknown(str(source)))
-    if not _suffixes(component) and not _is_folder(component):
+    kind = _class_of(component)
+    if not kind.suffixes and not kind.folder:
         return MOTIONS.build(component.name, options)
     path = Path(source)
-    if not path.is_file() and not (_is_folder(component) and path.is_dir()):
+    if not path.is_file() and not (kind.folder and path.is_dir()):
         if path.is_dir():
             raise UserError(f"motion file {path} is a directory")
         raise MissingFile(f"motion file {path} does not exist")
     return MOTIONS.build(component.name, options, path=path)
 
 
-def _suffixes(component: Component) -> tuple[str, ...]:
-    return getattr(component.factory, "suffixes", ())
+def _class_of(component: Component[MotionSource]) -> type[MotionSource]:
+    return cast("type[MotionSource]", component.factory)  # the registry takes nothing else
 
 
-def _is_folder(component: Component) -> bool:
-    return getattr(component.factory, "folder", False)
-
-
-def _find(source: str | Path) -> Component | None:
-    if isinstance(source, str) and source in MOTIONS and not _suffixes(MOTIONS[source]):
-        return MOTIONS[source] if not _is_folder(MOTIONS[source]) else None
+def _find(source: str | Path) -> Component[MotionSource] | None:
+    if isinstance(source, str) and source in MOTIONS and not _class_of(MOTIONS[source]).suffixes:
+        return MOTIONS[source] if not _class_of(MOTIONS[source]).folder else None
     suffix = Path(source).suffix.lower()
-    named = next((c for c in MOTIONS if suffix in _suffixes(c)), None)
+    named = next((c for c in MOTIONS if suffix in _class_of(c).suffixes), None)
     if named is None and str(source) not in ("", ".") and Path(source).is_dir():
-        return next((c for c in MOTIONS if _is_folder(c)), None)
+        return next((c for c in MOTIONS if _class_of(c).folder), None)
     return named
 
 
 def _unknown(source: str) -> str:
-    names = [c.name for c in MOTIONS if not _suffixes(c) and not _is_folder(c)]
-    suffixes = sorted({s for c in MOTIONS for s in _suffixes(c)})
+    kinds = {c.name: _class_of(c) for c in MOTIONS}
+    names = [name for name, kind in kinds.items() if not kind.suffixes and not kind.folder]
+    suffixes = sorted({s for kind in kinds.values() for s in kind.suffixes})
     hint = did_you_mean(source, names)
     return f"unknown motion '{source}': give a file ({', '.join(suffixes)}) or a built-in name, {hint}"

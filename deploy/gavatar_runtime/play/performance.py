@@ -13,7 +13,7 @@ from typing import Any, Literal
 from ..avatar.adaptive import AdaptiveAvatar
 from ..avatar.played import PlayedAvatar
 from ..bundle import Bundle, read_bundle
-from ..errors import WrongValue
+from ..errors import WrongValue, options_spelled, spelled
 from ..motions import MOTIONS, read_motion
 from ..render.choice import best_rasterizer, player_rasterizers
 from ..render.rasterizers import Rasterizer
@@ -90,7 +90,7 @@ def perform(
     view = View(size, width, height, camera, orbit, background, rasterizer, rasterizer_options)
     level = Level(tier, min_psnr, target_fps, budget_ms, uv, seen_only, reuse, threads)
     notes = _Notes(tell)
-    motion = motion if isinstance(motion, Motion) else read_motion(motion or MOTIONS.default)
+    motion = motion if isinstance(motion, Motion) else _read(motion or MOTIONS.default)
     for note in motion.notes:
         notes.add(note)
     motion = clip.of(motion)
@@ -111,6 +111,17 @@ def perform(
     for note in ready.output.notes:
         notes.add(note)
     return _report(str(out), ready, played, motion, threads, ignored, tuple(notes.all), seconds_to_ready, timings)
+
+
+def _read(source: str | Path) -> Motion:
+    """The motion; what is said of options is said of those of `read_motion`, for `perform` has an fps of its own."""
+
+    def spelling(name: str, value: str) -> str:
+        return f"`read_motion(..., {name}={value or '...'})`"
+
+    with options_spelled(spelling):
+        motion = read_motion(source)
+    return dataclasses.replace(motion, notes=tuple(spelled(note, spelling) for note in motion.notes))
 
 
 class _Notes:

@@ -53,7 +53,7 @@ def missing_limbs(bvh: Bvh, mapping: dict[str, int], source: str) -> None:
     if missing:
         raise UserError(
             f"{source}: no joint of the rig is known as {', '.join(missing)} (it has {', '.join(bvh.names[:40])}); "
-            "write a mapping file {SMPL joint: joint of the rig} and give it by --set motion.mapping=FILE"
+            "write a mapping file {SMPL joint: joint of the rig} and give it by `mapping=FILE`"
         )
 
 

@@ -53,14 +53,15 @@ def test_decoding_in_bfloat16_is_decoding_but_for_rounding():
 
 
 def test_auto_takes_bfloat16_only_where_it_is_native_and_the_decoder_is_able(monkeypatch):
-    able, unable = decoder("mlp"), decoder("upstream")
+    load_plugins()
+    able, unable = {"name": "mlp", "anisotropic": True}, {"name": "upstream"}
     for native in (True, False):
         monkeypatch.setattr(precision, "multiplies_bfloat16", lambda device, native=native: native)
         assert precision.mixed("auto", able, CPU) is native
         assert precision.mixed("bfloat16", able, CPU)
         assert not precision.mixed("float32", able, CPU)
         assert not precision.mixed("auto", unable, CPU)
-    with pytest.raises(UserError, match="float32 only"):
+    with pytest.raises(UserError, match="decoder 'upstream' trains in float32 only"):
         precision.mixed("bfloat16", unable, CPU)
 
 

@@ -9,12 +9,19 @@ import pytest
 import torch
 from make_bundle import free_body
 
-from gavatar.attributes import encoder_inputs
 from gavatar.avatar.points import sample_surface
 from gavatar.registry import ENCODERS, load_plugins
 from gavatar.training.remedies.facing import facing_texels
 from gavatar_plugins.encoders.linear import GAIN, LinearConfig, LinearEncoder, harmonics, joint_distances
-from gavatar_runtime.decoding.pose_inputs import INPUTS, PoseInput, check_inputs, joint_rotations, pose_inputs
+from gavatar_runtime.decoding.pose_inputs import (
+    INPUTS,
+    PoseInput,
+    check_inputs,
+    input_shape,
+    input_shapes,
+    joint_rotations,
+    pose_inputs,
+)
 from gavatar_runtime.decoding.uv_maps import normal_map
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.rotations import matrix_from_axis_angle
@@ -36,15 +43,16 @@ def random_poses(count: int, size: float = 0.4, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).normal(0, size, (count, 52, 3)).astype(np.float32)
 
 
-def tensors(surface, poses, encoder) -> list[torch.Tensor]:
-    return [torch.from_numpy(a) for a in pose_inputs(surface, poses, encoder_inputs(encoder))]
+def tensors(surface, poses, inputs) -> list[torch.Tensor]:
+    """The inputs of those names."""
+    return [torch.from_numpy(a) for a in pose_inputs(surface, poses, tuple(inputs))]
 
 
 def prepared(surface, poses, seen=None, **options) -> LinearEncoder:
     """A linear encoder of the poses, its maps filled with noise."""
     encoder = LinearEncoder(LinearConfig(**options), channels=CHANNELS)
     seen = torch.ones(len(poses), 64, 64, dtype=torch.bool) if seen is None else seen
-    encoder.prepare(surface, seen, *tensors(surface, poses, encoder))
+    encoder.prepare(surface, seen, *tensors(surface, poses, encoder.inputs))
     torch.manual_seed(0)
     torch.nn.init.normal_(encoder.maps)
     return encoder
@@ -57,8 +65,9 @@ def prepared(surface, poses, seen=None, **options) -> LinearEncoder:
 def test_an_encoder_starts_at_zero_and_every_parameter_that_matters_learns(surface, name, options):
     encoder = ENCODERS.build(name, {"map_size": 64, **options}, channels=CHANNELS)
     poses = random_poses(5)
-    inputs = tensors(surface, poses, encoder)
-    if hasattr(encoder, "prepare"):
+    traits = ENCODERS.traits(name, options)
+    inputs = tensors(surface, poses, traits.inputs)
+    if traits.prepares:
         encoder.prepare(surface, torch.ones(5, 64, 64, dtype=torch.bool), *inputs)
     out = encoder(*inputs)
     assert out.shape == (5, CHANNELS, 64, 64)
@@ -77,8 +86,9 @@ def test_an_encoder_starts_at_zero_and_every_parameter_that_matters_learns(surfa
 def test_an_encoder_is_finite_in_any_pose_and_gives_one_pose_what_it_gives_it_in_a_batch(surface, name, options):
     encoder = ENCODERS.build(name, {"map_size": 64, **options}, channels=CHANNELS)
     poses = np.concatenate([random_poses(3), np.zeros((1, 52, 3)), np.full((1, 52, 3), np.pi), random_poses(1, 9.0)])
-    inputs = tensors(surface, poses, encoder)
-    if hasattr(encoder, "prepare"):
+    traits = ENCODERS.traits(name, options)
+    inputs = tensors(surface, poses, traits.inputs)
+    if traits.prepares:
         encoder.prepare(surface, torch.ones(6, 64, 64, dtype=torch.bool), *inputs)
     for parameter in encoder.parameters():
         torch.nn.init.normal_(parameter, 0, 0.1)
@@ -133,12 +143,15 @@ def test_what_the_player_makes_of_one_pose_is_what_training_makes_of_many(surfac
         np.testing.assert_allclose(made(pose)[0], expected[i], atol=2e-6)  # float32 sums in another order
 
 
-def test_an_input_that_nobody_knows_is_one_sentence(surface):
-    class Odd:
-        inputs = ("positional_map", "smell")
+@pytest.mark.parametrize("name", INPUTS)
+def test_an_input_has_the_shape_that_it_declares(surface, name):
+    assert INPUTS[name](surface, random_poses(2)).shape == (2, *input_shape(name, surface.resolution))
+    assert input_shapes(name) == {name: INPUTS[name].shape}
 
-    with pytest.raises(UserError, match=r"encoder Odd wants the input 'smell'.*joint_rotations"):
-        encoder_inputs(Odd())
+
+def test_an_input_that_nobody_knows_is_one_sentence():
+    with pytest.raises(UserError, match=r"the encoder wants the input 'smell'.*joint_rotations"):
+        input_shapes("positional_map", "smell")
     check_inputs(tuple(INPUTS), "anything")
 
 
@@ -175,9 +188,9 @@ def test_light_of_degree_2_counts_as_a_matt_surface_returns_it(surface):
     in the scale of the harmonics here, up to the constants that maps learn anyway."""
     poses = random_poses(6)
     first, second = (prepared(surface, poses, order=order, bases=0) for order in (1, 2))
-    weights = second.weights(tensors(surface, poses, second))
-    torch.testing.assert_close(weights[:, :3], first.weights(tensors(surface, poses, first)))
-    plain = harmonics(tensors(surface, poses, second)[0], 2)
+    weights = second.weights(tensors(surface, poses, second.inputs))
+    torch.testing.assert_close(weights[:, :3], first.weights(tensors(surface, poses, first.inputs)))
+    plain = harmonics(tensors(surface, poses, second.inputs)[0], 2)
     torch.testing.assert_close(weights[:, 3:], plain[:, 3:] * 3 / 8)
 
 
@@ -196,14 +209,14 @@ def test_light_stays_with_the_room(surface):
     poses = np.zeros((8, 52, 3), np.float32)
     poses[:, 0, 1] = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     encoder = prepared(surface, poses, bases=0)
-    out = encoder(*tensors(surface, poses, encoder)).detach()
+    out = encoder(*tensors(surface, poses, encoder.inputs)).detach()
     valid = torch.zeros(64 * 64, dtype=torch.bool)
     valid[torch.from_numpy(surface.texel).long()] = True
     change = (out[0] - out[4]).flatten(1)[:, valid].abs().amax(0)
     assert (change > 1e-3).float().mean() > 0.9
     moved = poses.copy()
     moved[:, 18] = (0, 0, 1.0)  # an elbow bends: what it does not carry has the same light
-    elsewhere = (encoder(*tensors(surface, moved, encoder)).detach() - out).flatten(2).abs().amax((0, 1))
+    elsewhere = (encoder(*tensors(surface, moved, encoder.inputs)).detach() - out).flatten(2).abs().amax((0, 1))
     carried = np.isin(surface.joint_index, [18, 20, *range(22, 37)]) & (surface.joint_weight > 0)
     still = torch.from_numpy(surface.texel[~carried.any(1)]).long()
     assert elsewhere[still].max() < 1e-4
@@ -214,7 +227,7 @@ def test_a_joint_changes_only_what_is_within_its_reach(surface):
     encoder = prepared(surface, poses, order=0, bases=3, reach=1)
     before, moved = poses[:1].copy(), poses[:1].copy()
     moved[:, 18] += 0.2  # the left elbow
-    change = encoder(*tensors(surface, moved, encoder)) - encoder(*tensors(surface, before, encoder))
+    change = encoder(*tensors(surface, moved, encoder.inputs)) - encoder(*tensors(surface, before, encoder.inputs))
     change = change.detach().flatten(2).abs().amax((0, 1)).numpy()[surface.texel]
     near = (np.isin(surface.joint_index, [16, 18, 20, *range(22, 37)]) & (surface.joint_weight > 0)).any(1)
     assert change[~near].max() == 0
@@ -224,8 +237,8 @@ def test_a_joint_changes_only_what_is_within_its_reach(surface):
 def test_no_pose_leads_far_from_what_was_seen(surface):
     poses = random_poses(20, 0.3)
     encoder = prepared(surface, poses)
-    inside = encoder(*tensors(surface, poses, encoder)).detach()
-    wild = encoder(*tensors(surface, random_poses(20, 3.0, seed=1), encoder)).detach()
+    inside = encoder(*tensors(surface, poses, encoder.inputs)).detach()
+    wild = encoder(*tensors(surface, random_poses(20, 3.0, seed=1), encoder.inputs)).detach()
     low, high = encoder.low, encoder.high
     limit = (torch.maximum(low.abs(), high.abs())[:, None] * GAIN * encoder.maps.abs()).sum(0)
     assert (wild.abs().amax(0) <= limit + 1e-4).all()
@@ -238,17 +251,17 @@ def test_what_was_never_seen_or_in_one_pose_keeps_its_one_look(surface):
     seen[:, :32] = True  # the upper half of the atlas in every view
     seen[3, 32:48] = True  # some below in a single one
     encoder = prepared(surface, poses, seen)
-    out = encoder(*tensors(surface, random_poses(4, seed=2), encoder)).detach()
+    out = encoder(*tensors(surface, random_poses(4, seed=2), encoder.inputs)).detach()
     assert out[:, :, :32].abs().max() > 0.1
     assert out[:, :, 32:].abs().max() < 1e-5
     alone = prepared(surface, poses[:1])  # one frame: nothing is known to change
-    assert alone(*tensors(surface, poses, alone)).abs().max() < 1e-5
+    assert alone(*tensors(surface, poses, alone.inputs)).abs().max() < 1e-5
 
 
 def test_a_motion_without_movement_prepares(surface):
     poses = np.zeros((4, 52, 3), np.float32)
     encoder = prepared(surface, poses)
-    assert torch.isfinite(encoder(*tensors(surface, random_poses(3, 2.0), encoder))).all()
+    assert torch.isfinite(encoder(*tensors(surface, random_poses(3, 2.0), encoder.inputs))).all()
     assert all(torch.isfinite(b).all() for b in encoder.buffers())
 
 

@@ -107,7 +107,7 @@ def test_more_frames_than_it_says_are_left_out_with_a_note(plain, tmp_path):
 
 def test_a_frame_time_of_zero_needs_the_rate(plain, tmp_path):
     (tmp_path / "zero.bvh").write_text(re.sub(r"Frame Time: \S+", "Frame Time: 0", plain.read_text()))
-    with pytest.raises(UserError, match=r"zero\.bvh: Frame Time .*--set motion\.fps=30"):
+    with pytest.raises(UserError, match=r"zero\.bvh: Frame Time .*`fps=30`"):
         read_motion(tmp_path / "zero.bvh")
     assert read_motion(tmp_path / "zero.bvh", fps=24).fps == 24
 

@@ -60,11 +60,11 @@ RIGS = {
 }
 ODD_REST = {"bones_along_x.bvh": Read(notes=("rest pose anatomy: the OFFSETs draw nobody",))}
 REFUSED = {
-    "frame_time_zero.bvh": r"Frame Time .*--set motion\.fps=30",
+    "frame_time_zero.bvh": r"Frame Time .*`fps=30`",
     "humanml3d_joints.npy": r"positions of 22 joints, not rotations.*smpl_params\.npy",
     "positions.npz": r"poses holds positions of 22 joints, not rotations",
-    "six_d.npz": r"6D, .*--set motion\.rotations=6d or 6d-rows",
-    "rate_is_frame_count.npz": r"2000 frames a second, as many as it has frames.*--set motion\.fps=30",
+    "six_d.npz": r"6D, .*`rotations=6d` or 6d-rows",
+    "rate_is_frame_count.npz": r"2000 frames a second, as many as it has frames.*`fps=30`",
     "smplifyx_vposer.pkl": r"VPoser's code of 32 numbers.*SMPLify-X.*vposer\.decode",
 }
 

@@ -99,7 +99,7 @@ def test_of_several_persons_the_longest_is_taken_and_the_others_are_named(tmp_pa
     assert_same_rotations(motion, long["poses"])
     note = next(note for note in motion.notes if "2 persons" in note)
     other = {"WHAM": "0", "SLAHMR": "0", "3DPW": "0", "ROMP": "5"}[tool]
-    assert f"--set motion.person={other} takes another of {other} ({FRAMES - 5} frames)" in note
+    assert f"`person={other}` takes another of {other} ({FRAMES - 5} frames)" in note
     assert_same_rotations(read_motion(path, up="y", person=other), short["poses"])
     with pytest.raises(UserError, match=rf"no person '77': choose from: {other}"):
         read_motion(path, person=77)

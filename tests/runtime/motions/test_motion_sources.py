@@ -8,7 +8,7 @@ from motion_files import amass
 
 from gavatar_runtime import plugins
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.motions import MOTIONS, read_motion
+from gavatar_runtime.motions import MOTIONS, MotionSource, read_motion
 from gavatar_runtime.values.motion import Motion
 
 
@@ -38,7 +38,7 @@ def test_the_suffix_may_be_in_capitals(tmp_path):
 
 def test_a_new_format_is_one_decorated_class(tmp_path):
     @MOTIONS.register("still")
-    class Still:
+    class Still(MotionSource):
         suffixes = (".still",)
 
         def __init__(self, config, *, path):
@@ -66,9 +66,7 @@ def test_plugins_are_asked_for_an_unknown_name_only_and_a_broken_one_is_named(mo
 
     def nod():
         @MOTIONS.register("nod")
-        class Nod:
-            suffixes = ()
-
+        class Nod(MotionSource):
             def __init__(self, config):
                 pass
 

@@ -29,12 +29,12 @@ def test_rates_that_recordings_have_are_taken_without_a_word(tmp_path, rate):
 @pytest.mark.parametrize(
     ("rate", "message"),
     [
-        (501.0, r"501 frames a second which no recording has; say the rate with --set motion\.fps=30"),
+        (501.0, r"501 frames a second which no recording has; say the rate with `fps=30`"),
         (12, r"12 frames a second"),
         (1e9, "no recording"),
-        (1 / 30, r"less than one: is it the seconds of a frame, --set motion\.fps=30\?"),
+        (1 / 30, r"less than one: is it the seconds of a frame, `fps=30`\?"),
         (1e-9, r"less than one; say the rate"),
-        (0, r"one positive number of frames per second; say the rate with --set motion\.fps=30"),
+        (0, r"one positive number of frames per second; say the rate with `fps=30`"),
         (-30, "positive"),
         (np.nan, "positive"),
         (np.inf, "positive"),
@@ -62,7 +62,7 @@ def test_a_rate_that_is_the_number_of_frames_is_told_as_such(tmp_path):
 def test_a_missing_rate_is_taken_as_30_with_a_note(tmp_path):
     motion = read_motion(file(tmp_path / "a.npz", mocap_framerate=None))
     assert motion.fps == 30
-    assert any("no frame rate: 30 a second" in n and "--set motion.fps=25" in n for n in motion.notes)
+    assert any("no frame rate: 30 a second" in n and "`fps=25`" in n for n in motion.notes)
     assert read_motion(file(tmp_path / "a.npz", mocap_framerate=None), fps=50).notes == ()
     one = amass(tmp_path / "one.npz", poses=np.zeros((1, 66)), trans=np.zeros((1, 3)), mocap_framerate=None)
     assert read_motion(one).notes == ()
@@ -79,7 +79,7 @@ def test_translations_that_would_lift_a_person_above_any_house_are_taken_for_oth
     truth = walk(12)
     motion = read_motion(file(tmp_path / "a.npz", trans=truth["trans"] * scale), up="y")
     np.testing.assert_allclose(motion.trans, truth["trans"], rtol=1e-5)
-    note = f"trans is {0.9 * scale:.0f} high: it is taken for {unit}, not metres; --set motion.units=m"
+    note = f"trans is {0.9 * scale:.0f} high: it is taken for {unit}, not metres; `units=m`"
     assert any(note in told for told in motion.notes)
     kept = read_motion(file(tmp_path / "a.npz", trans=truth["trans"] * scale), up="y", units="m")
     np.testing.assert_allclose(kept.trans, truth["trans"] * scale, rtol=1e-5)
@@ -112,7 +112,7 @@ def test_ways_that_are_only_odd_are_noted(tmp_path, way, message):
         assert any("goes 3000 far: it is taken for cm" in note for note in motion.notes)
     else:
         np.testing.assert_allclose(motion.trans, trans, rtol=1e-5)
-        assert any(message in note and "--set motion.units=cm" in note for note in motion.notes)
+        assert any(message in note and "`units=cm`" in note for note in motion.notes)
 
 
 def test_a_long_run_is_noted_and_kept_and_the_end_of_the_world_is_refused(tmp_path):
@@ -128,7 +128,7 @@ def test_a_long_run_is_noted_and_kept_and_the_end_of_the_world_is_refused(tmp_pa
 def test_degrees_are_refused_and_read_when_they_are_said_to_be_such(tmp_path):
     truth = walk(12)
     path = file(tmp_path / "a.npz", poses=np.degrees(truth["poses"]).reshape(12, -1))
-    with pytest.raises(UserError, match=r"turns a joint by \d+ radians.*--set motion\.rotations=degrees"):
+    with pytest.raises(UserError, match=r"turns a joint by \d+ radians.*`rotations=degrees`"):
         read_motion(path)
     assert_same_rotations(read_motion(path, up="y", rotations="degrees"), truth["poses"])
 
@@ -188,7 +188,7 @@ def test_joint_positions_are_told_from_rotations(tmp_path, scale, frames):
     assert not are_positions(np.zeros((frames, 22, 3)))
     places = places_of(truth) * scale + np.array([0.5, 0, 2]) * scale
     assert are_positions(places)
-    with pytest.raises(UserError, match=r"poses holds positions of 22 joints.*--set motion\.rotations=axis-angle"):
+    with pytest.raises(UserError, match=r"poses holds positions of 22 joints.*`rotations=axis-angle`"):
         read_motion(amass(tmp_path / "a.npz", poses=places, trans=None))
 
 

@@ -154,7 +154,7 @@ def test_axes_at_random_make_no_difference(tmp_path, seed):
     write_parsed(tmp_path / "odd.bvh", scrambled(read_bvh(tmp_path / "plain.bvh"), seed))
     odd = read_motion(tmp_path / "odd.bvh")
     assert_as_the_t_pose_rig(odd, read_motion(tmp_path / "plain.bvh"))
-    assert any("rest pose anatomy" in note and "--rest" in note for note in odd.notes)
+    assert any("rest pose anatomy" in note and "`rest`" in note for note in odd.notes)
 
 
 def test_anatomy_finds_the_same_pose_where_the_offsets_draw_it(tmp_path):

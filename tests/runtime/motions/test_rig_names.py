@@ -122,5 +122,5 @@ def test_the_pelvis_is_where_both_legs_hang_from():
 def test_unknown_names_ask_for_a_mapping_by_the_option_as_it_is_written(tmp_path):
     foreign = {name: f"bone{j:02d}" for j, (name, _, _) in enumerate(MIXAMO)}
     write_bvh(tmp_path / "a.bvh", random_angles(2), np.zeros((2, 3)), rename=foreign)
-    with pytest.raises(UserError, match=r"left_hip.*--set motion\.mapping=FILE"):
+    with pytest.raises(UserError, match=r"left_hip.*`mapping=FILE`"):
         read_motion(tmp_path / "a.bvh")

@@ -57,7 +57,7 @@ SIX = {
 def test_six_numbers_are_read_where_it_is_said_how(tmp_path, kind, array, in_one_row):
     array = array.reshape(12, -1) if in_one_row and array.ndim == 3 else array
     path = amass(tmp_path / "a.npz", poses=array, trans=None)
-    with pytest.raises(UserError, match=r"joints in 6D, .*--set motion\.rotations=6d or 6d-rows"):
+    with pytest.raises(UserError, match=r"joints in 6D, .*`rotations=6d` or 6d-rows"):
         read_motion(path)
     assert_same_rotations(read_motion(path, up="y", rotations=kind), TRUTH, 24)
 
