@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import MissingFile, UserError
+from .errors import MissingFile, UserError, cannot_read
 from .formats.files import atomic
 from .values.body import Hands
 from .values.surface import Surface
@@ -337,4 +337,4 @@ def _open_zip(path: Path) -> zipfile.ZipFile:
         reason = "is cut short or damaged" if cut else "is not a gavatar bundle (not a zip)"
         raise UserError(f"{path} {reason}; export or download it again") from None
     except OSError as error:
-        raise UserError(f"{path} cannot be read: {error.strerror or error}") from error
+        raise cannot_read(path, error) from error

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import UserError, frames_named
+from ..errors import UserError, cannot_read, frames_named
 from ..geometry.rotations import matrix_from_axis_angle
 
 CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
@@ -96,7 +96,7 @@ def read_bvh(path: str | os.PathLike) -> Bvh:
     try:
         text = _decoded(path.read_bytes())
     except OSError as error:
-        raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
+        raise cannot_read(path, error) from None
     return _Parser(path, text).bvh()
 
 

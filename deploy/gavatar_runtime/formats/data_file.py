@@ -8,7 +8,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-from ..errors import UserError
+from ..errors import UserError, cannot_read
 from .joblib_file import is_packed, load_joblib
 from .numpy_file import load_npy, load_npz
 from .torch_file import is_older_format, load_torch
@@ -25,7 +25,7 @@ def load_data(path: str | os.PathLike) -> Any:
         with path.open("rb") as file:
             start = file.read(64)
     except OSError as error:
-        raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
+        raise cannot_read(path, error) from None
     if start.startswith(b"\x93NUMPY"):
         return load_npy(path, lenient=True)
     if start.startswith(b"PK"):

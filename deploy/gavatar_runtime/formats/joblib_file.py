@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..errors import UserError
+from ..errors import UserError, cannot_read
 from .pickled_values import Dtype, Held, Plain, PlainReader, Refused, array_of
 from .safe_pickle import Machine, cause
 
@@ -38,7 +38,7 @@ def load_joblib(path: str | os.PathLike, *, lenient: bool = False) -> Any:
     try:
         data = Path(path).read_bytes()
     except OSError as error:
-        raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
+        raise cannot_read(path, error) from None
     try:
         stream = io.BytesIO(_unpacked(data, path))
         return PlainReader(lenient)(_JoblibMachine(stream, lenient=lenient).load())

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import UserError
+from ..errors import UserError, cannot_read
 from .pickled_values import Unread
 from .safe_pickle import loads
 
@@ -41,7 +41,7 @@ def load_npz(path: str | os.PathLike, keys: Iterable[str] | None = None, *, leni
             for name in names if keys is None else [k for k in keys if k in names]:
                 arrays[name] = _member(file, name, f"{path}: '{name}'", lenient)
     except OSError as error:
-        raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
+        raise cannot_read(path, error) from None
     except _DAMAGED as error:
         raise UserError(f"{path} is damaged or not an .npz file ({error})") from None
     return arrays
@@ -53,7 +53,7 @@ def load_npy(path: str | os.PathLike, *, lenient: bool = False) -> Any:
     try:
         return _npy(Path(path).read_bytes(), str(path), lenient)
     except OSError as error:
-        raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
+        raise cannot_read(path, error) from None
     except _DAMAGED as error:
         why = next(iter(str(error).splitlines()), "")
         raise UserError(f"{path} is damaged or not an .npy file ({why})") from None

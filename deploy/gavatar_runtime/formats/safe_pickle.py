@@ -19,7 +19,7 @@ import sys
 from pathlib import Path
 from typing import Any, ClassVar
 
-from ..errors import UserError
+from ..errors import UserError, cannot_read
 from .pickled_values import TABLE, Held, PlainReader, Refused, unknown
 
 # Of the standard library, the modules whose objects may stand unread; any other there can run something
@@ -42,7 +42,7 @@ def load_pickle(path: str | os.PathLike, *, lenient: bool = False) -> Any:
     try:
         data = Path(path).read_bytes()
     except OSError as error:
-        raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
+        raise cannot_read(path, error) from None
     return loads(data, str(path), lenient=lenient)
 
 

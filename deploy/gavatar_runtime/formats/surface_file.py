@@ -20,7 +20,8 @@ def save_surface(path: str | os.PathLike, surface: Surface) -> None:
 
 
 def load_surface(path: str | os.PathLike) -> Surface:
-    """The surface in an .npz written by `save_surface`. Raises UserError for an absent or damaged file, or another."""
+    """The surface in an .npz written by `save_surface`. Raises UserError for a damaged file or another, MissingFile for
+    an absent one."""
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = dict(file)

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..errors import UserError
+from ..errors import UserError, cannot_read
 from .pickled_values import Held, Plain, PlainReader, Refused
 from .safe_pickle import FURTHER, Machine, cause
 
@@ -38,7 +38,7 @@ def load_torch(path: str | os.PathLike, *, lenient: bool = False) -> Any:
     try:
         return loads_torch(Path(path).read_bytes(), str(path), lenient=lenient)
     except OSError as error:
-        raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
+        raise cannot_read(path, error) from None
 
 
 def loads_torch(data: bytes, source: str = "tensors", *, lenient: bool = False) -> Any:

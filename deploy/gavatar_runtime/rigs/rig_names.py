@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..errors import UserError, did_you_mean
+from ..errors import UserError, cannot_read, did_you_mean
 from ..values.skeletons import SMPLH
 
 # After the side and any prefix are taken off, lower case, letters and digits only. The first that the rig has is taken.
@@ -164,7 +164,7 @@ def read_mapping(path: str | os.PathLike, names: list[str]) -> dict[str, int]:
     try:
         entries = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise UserError(f"mapping file {path} cannot be read: {error.strerror or error}") from None
+        raise cannot_read(f"mapping file {path}", error) from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise UserError(f"mapping file {path} is not valid JSON: {error}") from None
     if not isinstance(entries, dict):

@@ -56,6 +56,16 @@ def test_convert_to_a_smaller_skeleton_names_what_is_ignored(tmp_path, capsys):
     assert read_motion(tmp_path / "s.npz").poses.shape == (2, 24, 3)
 
 
+def test_notes_name_options_as_they_are_written_on_the_command(tmp_path, capsys):
+    np.savez(tmp_path / "x.npz", poses=np.zeros((3, 66)), trans=np.zeros((3, 3)))
+    assert run("info", tmp_path / "x.npz") == 0
+    assert "--set motion.fps=25 (or what it is)" in capsys.readouterr().out
+    assert run("info", tmp_path / "x.npz", "--json") == 0
+    assert "--set motion.fps=25" in json.loads(capsys.readouterr().out)["notes"][0]
+    assert run("convert", tmp_path / "x.npz", "-o", tmp_path / "y.npz") == 0
+    assert "--set motion.fps=25" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

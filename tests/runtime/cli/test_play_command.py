@@ -17,7 +17,9 @@ from video_frames import frames_of
 
 from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.cli.play_arguments import frame_slice
+from gavatar_runtime.errors import UserError
 from gavatar_runtime.motions import read_motion
+from gavatar_runtime.play.performance import perform
 
 pytestmark = pytest.mark.usefixtures("dots")
 
@@ -140,6 +142,23 @@ def test_a_users_mistake_is_exit_code_2_and_one_sentence(static, tmp_path, monke
     assert re.search(message, printed.err)
     assert "Traceback" not in printed.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_notes_of_a_motion_name_its_options_and_not_those_of_playing(static, tmp_path, capsys):
+    """A motion's fps says how fast it was filmed, and --fps resamples it."""
+    np.savez(tmp_path / "m.npz", poses=np.zeros((3, 66)), trans=np.zeros((3, 3)))
+    common = (static, "--motion", tmp_path / "m.npz", "--rasterizer", "dots", "--size", "16")
+    assert run_play(*common, "--out", tmp_path / "a.png", "--json", tmp_path / "a.json") == 0
+    sentence = "--set motion.fps=25 (or what it is) says another"
+    assert sentence in capsys.readouterr().err
+    assert any(sentence in note for note in json.loads((tmp_path / "a.json").read_text())["notes"])
+    report = perform(static, tmp_path / "m.npz", tmp_path / "b.png", rasterizer="dots", size=16)
+    assert any("`read_motion(..., fps=25)`" in note for note in report.notes)
+    np.savez(tmp_path / "m.npz", poses=np.zeros((3, 66)), trans=np.zeros((3, 3)), mocap_framerate=0)
+    assert run_play(*common, "--out", tmp_path / "a.png") == 2
+    assert "say the rate with --set motion.fps=30" in capsys.readouterr().err
+    with pytest.raises(UserError, match=r"say the rate with `read_motion\(\.\.\., fps=30\)`"):
+        perform(static, tmp_path / "m.npz", tmp_path / "b.png", rasterizer="dots", size=16)
 
 
 def test_a_damaged_bundle_and_a_nan_motion_are_mistakes_too(played, tmp_path, capsys):

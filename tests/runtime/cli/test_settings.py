@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gavatar_runtime.cli.settings import as_flags, as_settings, parse_settings
+from gavatar_runtime.cli.settings import as_flags, as_motion_options, as_settings, parse_settings
 from gavatar_runtime.errors import MissingFile, UserError, options_spelled, spelled
 
 
@@ -57,6 +57,11 @@ def test_options_are_spelled_as_flags(sentence, as_said):
 def test_options_are_spelled_as_settings():
     assert spelled("give `fps`", as_settings("motion.")) == "give --set motion.fps=VALUE"
     assert spelled("`fps=-3`: give more", as_settings("")) == "--set fps=-3: give more"
+
+
+def test_an_option_of_a_motion_is_spelled_as_the_flag_or_the_setting_that_it_has():
+    assert spelled("`rest` or `rest=offsets`", as_motion_options) == "--rest or --rest offsets"
+    assert spelled("`fps=30`, `mapping`", as_motion_options) == "--set motion.fps=30, --set motion.mapping=VALUE"
 
 
 def test_an_error_keeps_its_kind_and_all_its_sentences():
