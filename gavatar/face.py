@@ -132,18 +132,21 @@ class TrainedRun:
         perceptual: bool = True,
         rasterizer: str | None = None,
         device: str | torch.device = "cpu",
+        dynamics: bool = True,
         progress: bool = True,
     ) -> Evaluation:
         """Image and joint errors against the footage, split by split, and whether dynamics are worth their cost.
 
         splits: default all of the capture. fit_steps: of fitting held-out poses, 0 leaves those rows out. perceptual:
-        with the perceptual distance. rasterizer: to draw with, default the run's. Raises UserError for a wrong name.
+        with the perceptual distance. rasterizer: to draw with, default the run's. dynamics: with the verdict on them,
+        for which held-out views are drawn once more. Raises UserError for a wrong name.
         """
         run = runs.open_run(self.directory, self.stage, self.config.capture)  # its avatar moves to the device
         if rasterizer is not None:
             run.config.rasterizer = {"name": rasterizer}
         result = evaluate(run, splits, fit_steps, perceptual, progress, device)
-        result.dynamics = weigh_dynamics(result, device)
+        if dynamics:
+            result.dynamics = weigh_dynamics(result, device)
         return result
 
     def export(

@@ -46,6 +46,18 @@ def as_overrides(settings: Mapping[str, Any]) -> list[str]:
     return overrides
 
 
+def from_overrides(arguments: Sequence[str]) -> dict[str, Any]:
+    """The settings that a command line's overrides are, by their whole names: what `as_overrides` takes. Raises
+    UserError for what gives no value, as a sweep or a deletion."""
+    settings = {}
+    for override in parse(arguments):
+        odd = override.is_sweep_override() or override.is_delete() or override.is_add() or override.package is not None
+        if odd or "${" in str(override.input_line):
+            raise UserError(f"'{override.input_line}': give one value, KEY=VALUE")
+        settings[override.key_or_group] = override.value()
+    return settings
+
+
 def literal(value: Any, key: str = "value") -> str:
     """A value as Hydra's grammar writes it. key: named in the UserError for a value that it has no words for."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

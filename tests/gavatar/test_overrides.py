@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gavatar.config import LevelConfig
-from gavatar.overrides import as_overrides, literal
+from gavatar.overrides import as_overrides, from_overrides, literal
 from gavatar_runtime.errors import UserError
 
 # what a command line can carry; ${...} is OmegaConf's and is escaped on the way, tested below
@@ -55,6 +55,24 @@ def test_a_dollar_in_a_path_is_no_interpolation():
 
     key, value = parsed(f"capture={literal('a/${b}/c')}")
     assert OmegaConf.to_container(OmegaConf.create({key: value}), resolve=True) == {"capture": "a/${b}/c"}
+
+
+def test_a_command_line_is_settings_and_settings_are_a_command_line():
+    arguments = ["decoder=mlp", "stage1.steps=20", "losses.l1=null", "motion.enabled=false", "name='a b'",
+                 "stage1.levels=[{until: 1.0, uv: 64, image: 0.25}]"]  # fmt: skip
+    settings = from_overrides(arguments)
+    assert settings == {
+        "decoder": "mlp", "stage1.steps": 20, "losses.l1": None, "motion.enabled": False, "name": "a b",
+        "stage1.levels": [{"until": 1.0, "uv": 64, "image": 0.25}],
+    }  # fmt: skip
+    assert from_overrides(as_overrides(settings)) == settings
+    assert from_overrides([]) == {}
+
+
+@pytest.mark.parametrize("argument", ["decoder=mlp,upstream", "~losses.l1", "+new=1", "out=${capture}"])
+def test_what_gives_no_one_value_is_no_setting(argument):
+    with pytest.raises(UserError, match="give one value, KEY=VALUE"):
+        from_overrides([argument])
 
 
 def test_nested_and_dotted_settings_are_the_same():
