@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,13 +19,14 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.spacing import evenly_spaced
 
 from .capture.capture import View
-from .config import compose_config
-from .evaluation.scores import Evaluation, Evaluator, evaluate
-from .face import TrainedRun
+from .evaluation.result import Evaluation
+from .evaluation.scores import Evaluator
+from .face import TrainedRun, open_run, train
+from .overrides import from_overrides
 from .storage import atomic, write_json
 from .text_table import format_table
 from .training.preview import error_map
-from .training.run import Run, open_run, train
+from .training.run import Run
 
 HELD_OUT = "novel_pose"  # a motion that training never saw
 MOTIONS = ("wave", "turn")
@@ -52,17 +54,16 @@ def run_demo(out: Path, overrides: Sequence[str] = (), say: Callable[[str], None
     start = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
     earlier = _seconds_spent(out)
-    common = [f"capture={demo_capture()}", "experiment=demo", *overrides]
+    settings = _settings(overrides)
     say("1/5  baseline: appearance alone, on the estimated poses as they are")
-    _train(out / "baseline", [*common, "motion.enabled=false", "stage2.steps=0"])
+    train(demo_capture(), out=out / "baseline", **settings | {"motion.enabled": False, "stage2.steps": 0})
     say("2/5  avatar: appearance and motion together (stage 1), then dynamics (stage 2)")
-    _train(out / "avatar", common)
+    train(demo_capture(), out=out / "avatar", **settings)
     say("3/5  evaluation on frames and poses that training never saw")
     evaluations = _evaluate(out)
     say("4/5  export to ONNX, verified against PyTorch")
-    run = evaluations["+opt+dyn"].run
     bundle = out / "studio_demo.gavatar"
-    manifest = TrainedRun(run).export(bundle).manifest
+    manifest = TrainedRun(evaluations["+opt+dyn"].run).export(bundle).manifest
     say(f"     {bundle}: positions within {1000 * manifest.export_check['position_m']:.5f} mm of PyTorch")
     say("5/5  playback, in a process without torch")
     plays = {motion: _play(bundle, motion, out) for motion in MOTIONS}
@@ -74,8 +75,14 @@ def run_demo(out: Path, overrides: Sequence[str] = (), say: Callable[[str], None
     return DemoResult(summary, evaluations, files)
 
 
-def _train(directory: Path, overrides: list[str]) -> None:
-    train(compose_config([*overrides, f"out={directory}"]), directory)
+def _settings(overrides: Sequence[str]) -> dict[str, Any]:
+    """Of all trainings, the preset among them."""
+    settings = {"preset": "demo"}
+    for name, value in from_overrides(overrides).items():
+        if name in ("capture", "out"):
+            raise UserError(f"{name} is the demonstration's own: leave '{name}=...' out, or use gavatar-train")
+        settings["preset" if name == "experiment" else name] = value
+    return settings
 
 
 def _seconds_spent(out: Path) -> float:
@@ -97,7 +104,7 @@ def _evaluate(out: Path) -> dict[str, Evaluation]:
     for name, run in runs.items():
         # the perceptual distance is left to gavatar-eval: its network would take a third of the evaluation's time
         steps = FIT_STEPS if name != "+opt" else 0
-        results[name] = evaluate(run, fit_steps=steps, perceptual=False, progress=run.config.progress)
+        results[name] = run.evaluate(fit_steps=steps, perceptual=False, dynamics=False, progress=run.config.progress)
     return results
 
 
