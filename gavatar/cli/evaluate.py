@@ -90,13 +90,13 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser().parse_args(argv)
     if arguments.fit_steps < 1:
         raise UserError("--fit-steps must be at least 1; leave fitting out with --no-fit")
-    how = {
-        "stage": arguments.stage,
-        "splits": arguments.splits,
-        "fit_steps": 0 if arguments.no_fit else arguments.fit_steps,
-        "perceptual": not arguments.no_perceptual,
-        "rasterizer": arguments.rasterizer,
-    }
+    how = dict(
+        stage=arguments.stage,
+        splits=arguments.splits,
+        fit_steps=0 if arguments.no_fit else arguments.fit_steps,
+        perceptual=not arguments.no_perceptual,
+        rasterizer=arguments.rasterizer,
+    )
     if arguments.all:
         if arguments.capture is not None:
             raise UserError("--capture is of one run: leave it out with --all")
