@@ -11,6 +11,7 @@ import numpy as np
 
 from gavatar_runtime.errors import UserError
 
+from .footage.shots import Wardrobe
 from .landmarks import Landmarks
 from .pose_network import PoseNetworks
 from .steadiness import STEADY, Steadiness
@@ -20,11 +21,12 @@ from .track import Tracked, track
 @dataclasses.dataclass(frozen=True)
 class Detection:
     """landmarks: of the chosen frames, filmed pixels. mask_files: one per chosen frame. notes: sentences for the
-    user."""
+    user. changes: indices of the chosen frames with which another person is followed."""
 
     landmarks: Landmarks
     mask_files: list[Path]
     notes: list[str]
+    changes: list[int]
 
 
 class Detector:
@@ -42,14 +44,19 @@ class Detector:
         folder = self.folder / name
         folder.mkdir(parents=True, exist_ok=True)
         files = [folder / f"{number:06d}.png" for number in numbers]
-        steadiness = Steadiness()
+        steadiness, wardrobe = Steadiness(), Wardrobe()
+
+        def watch(image: np.ndarray, mask: np.ndarray) -> None:
+            steadiness.add(image, mask)
+            wardrobe.add(image, mask)
 
         def write(t: int, mask: np.ndarray) -> None:
             if not cv2.imwrite(str(files[t]), mask):
                 raise UserError(f"{files[t]} could not be written: is the disk full?")
 
-        tracked = track(images, len(numbers), write, self.networks, f"'{name}'", fps, self.progress, steadiness.add)
-        return Detection(tracked.landmarks, files, notes(name, numbers, tracked, steadiness.moved))
+        tracked = track(images, len(numbers), write, self.networks, f"'{name}'", fps, self.progress, watch)
+        said = notes(name, numbers, tracked, steadiness.moved)
+        return Detection(tracked.landmarks, files, said, wardrobe.changes())
 
 
 def notes(name: str, numbers: np.ndarray, tracked: Tracked, moved: float | None) -> list[str]:

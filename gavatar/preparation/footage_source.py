@@ -7,13 +7,12 @@ Three layouts are recognised::
     videos/CAM.mp4 (or frames/CAM/)   masks/CAM/NAME.png   landmarks_CAM.npz   cameras.json    calibrated cameras
 
 A mask has the name of its frame, or its number as 000000.png when the frames come from a video. Where landmarks and
-masks are both absent, a detector finds them.
+masks are both absent, a detector finds them, in the longest shot of one person.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,50 +23,43 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.values.camera import Camera
 
 from .detect import Detector
+from .footage.film import Film
+from .footage.lens import Lens, read_lenses
+from .footage.listing import IMAGE_SUFFIXES, footage_files, is_foreign
+from .footage.mask_names import match_masks
+from .footage.mask_pictures import MaskReader, survey_masks
+from .footage.shots import find_cuts, longest
+from .footage.video_reading import VIDEO_SUFFIXES
 from .landmarks import Landmarks, read_landmarks
-from .video_reading import VIDEO_SUFFIXES, video_facts, video_frames
-
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
-
-
-@dataclasses.dataclass(frozen=True)
-class Lens:
-    """A calibrated camera as filmed: the pinhole part and OpenCV's k1, k2, p1, p2 (all zero: no distortion)."""
-
-    camera: Camera
-    distortion: np.ndarray
-
-    def undistort_points(self, points: np.ndarray) -> np.ndarray:
-        """(..., 2) filmed pixels -> the pixels a lens without distortion would have given."""
-        c = self.camera
-        K = np.array([[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1]])
-        flat = np.ascontiguousarray(points.reshape(-1, 1, 2), np.float64)
-        return cv2.undistortPoints(flat, K, self.distortion, P=K).reshape(points.shape)
-
-    def undistort_image(self, image: np.ndarray) -> np.ndarray:
-        """The image without distortion, same size and focal length; black where the lens saw nothing."""
-        c = self.camera
-        K = np.array([[c.fx, 0, c.cx - 0.5], [0, c.fy, c.cy - 0.5], [0, 0, 1]])  # cv2 has pixel centres at integers
-        return cv2.undistort(image, K, self.distortion) if np.any(self.distortion) else image
 
 
 @dataclasses.dataclass(frozen=True)
 class Footage:
     """One camera's footage, frames chosen, brought to the size and lens of the capture as it is read.
 
-    name: the camera's. frames: image files or one video. numbers: (T,) which frames of the source. mask_files: T files.
-    filmed_size, size: (width, height) of the source and of the capture. lens: None when the camera is unknown.
-    landmarks: of the chosen frames, in the capture's undistorted pixels.
+    film: all of it. numbers: (T,) which frames of it. mask_files: T files. read_mask: gives one as (H, W) uint8 alpha.
+    size: (width, height) of the capture. lens: None when the camera is unknown. landmarks: of the chosen frames, in the
+    capture's undistorted pixels.
     """
 
-    name: str
-    frames: list[Path] | Path
+    film: Film
     numbers: np.ndarray
     mask_files: list[Path]
-    filmed_size: tuple[int, int]
+    read_mask: MaskReader
     size: tuple[int, int]
     lens: Lens | None
     landmarks: Landmarks
+
+    @property
+    def name(self) -> str:
+        """The camera's."""
+        return self.film.name
+
+    @property
+    def frames(self) -> list[Path] | Path:
+        """Files of the chosen frames, or the video they are in."""
+        frames = self.film.frames
+        return frames if isinstance(frames, Path) else [frames[k] for k in self.numbers]
 
     @property
     def camera(self) -> Camera | None:
@@ -76,25 +68,26 @@ class Footage:
 
     def images(self) -> Iterator[np.ndarray]:
         """(H, W, 3) uint8 BGR of each chosen frame, undistorted and resized. UserError for an unreadable frame."""
-        raw = video_frames(self.frames, self.numbers) if isinstance(self.frames, Path) else map(_image, self.frames)
-        for number, image in zip(self.numbers, raw, strict=True):
-            yield self._prepared(image, self.frames if isinstance(self.frames, Path) else self.frames[0].parent, number)
+        return (self._prepared(image) for image in self.film.images(self.numbers))
 
     def masks(self) -> Iterator[np.ndarray]:
         """(H, W) uint8 alpha of each chosen frame, undistorted and resized. UserError for a mask of another size."""
+        filmed = self.film.size
         for number, path in zip(self.numbers, self.mask_files, strict=True):
-            yield self._prepared(_image(path, cv2.IMREAD_GRAYSCALE), path, number)
+            mask = self.read_mask(path)
+            if mask.shape[1::-1] != filmed:
+                turned = ", turned: masks must lie as their frames are seen" if mask.shape == filmed else ""
+                raise UserError(
+                    f"{path} (frame {number}) is {mask.shape[1]}x{mask.shape[0]} pixels, but camera '{self.name}' "
+                    f"filmed {filmed[0]}x{filmed[1]}{turned}"
+                )
+            yield self._prepared(mask)
 
-    def _prepared(self, image: np.ndarray, path: Path, number: int) -> np.ndarray:
-        if (image.shape[1], image.shape[0]) != self.filmed_size:
-            raise UserError(
-                f"{path} (frame {number}) is {image.shape[1]}x{image.shape[0]} pixels, but camera '{self.name}' "
-                f"filmed {self.filmed_size[0]}x{self.filmed_size[1]}"
-            )
+    def _prepared(self, image: np.ndarray) -> np.ndarray:
         if self.lens is not None:
             image = self.lens.undistort_image(image)
-        if self.size != self.filmed_size:
-            smaller = self.size[0] < self.filmed_size[0]
+        if self.size != self.film.size:
+            smaller = self.size[0] < self.film.size[0]
             image = cv2.resize(image, self.size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_CUBIC)
         return image
 
@@ -146,32 +139,37 @@ def open_source(path: Path, options: SourceOptions | None = None) -> Source:
         lenses = {"cam0": next(iter(lenses.values()))}  # the only camera, whatever it is called there
     if not lenses and len(found) > 1:
         raise UserError(f"{path} holds {len(found)} cameras ({', '.join(found)}) but no cameras.json: give `cameras`")
-    films, alone = [_Film.of(name, frames) for name, frames in found.items()], len(found) == 1
+    alone = len(found) == 1
+    films = [Film.of(name, frames, alone and options.fps is None) for name, frames in found.items()]
     for name in found:
         if lenses and name not in lenses:
             raise UserError(f"{cameras_file} has no camera '{name}', which {path} holds (it has: {', '.join(lenses)})")
     given = [_beside(path, name, options, alone) for name in found]
     if None in given and options.fps is None and not any(film.rate for film in films):
         raise UserError(f"{path}: the footage does not say its frame rate: give `fps`")
-    parts = [_footage(film, lenses.get(film.name), its, options) for film, its in zip(films, given, strict=True)]
-    footage = [one for one, _, _ in parts]
+    parts = [_take(film, lenses.get(film.name), its, options, alone) for film, its in zip(films, given, strict=True)]
+    footage = [part.footage for part in parts]
     if len({len(f.numbers) for f in footage}) > 1:
         counts = ", ".join(f"{f.name} {len(f.numbers)}" for f in footage)
         raise UserError(
             f"{path}: the cameras have different numbers of frames ({counts}); choose common ones by `frames`"
         )
-    fps = options.fps or next((rate for _, rate, _ in parts if rate), None)
+    fps = options.fps or next((part.rate for part in parts if part.rate), None)
     if fps is None:
         raise UserError(f"{path}: neither landmarks nor video say the frame rate: give `fps`")
-    numbers = footage[0].numbers
+    notes = [note for part in parts for note in part.notes]
+    if path.is_file() and None in given and path.with_suffix(".npz").is_file():
+        notes.append(
+            f"{path.with_suffix('.npz').name} lies beside the video and is not read: name it by `landmarks` (and its "
+            "masks by `masks`) if it holds this video's landmarks"
+        )
     description = (
-        f"{len(footage)} camera{'s' * (len(footage) > 1)} ({', '.join(found)}), {len(numbers)} frames from "
+        f"{len(footage)} camera{'s' * (len(footage) > 1)} ({', '.join(found)}), {len(footage[0].numbers)} frames from "
         f"{'video' if isinstance(films[0].frames, Path) else 'image'} files at {fps:.4g} fps, "
         f"{'calibrated' if lenses else 'camera unknown'}, "
         f"{'the person found in them' if None in given else 'with landmarks and masks'}"
     )
-    step = int(numbers[1] - numbers[0]) if len(numbers) > 1 else 1
-    return Source(footage, fps / step, description, [note for _, _, notes in parts for note in notes])
+    return Source(footage, fps / parts[0].step, description, notes)
 
 
 def _cameras_of(folder: Path) -> dict[str, list[Path] | Path]:
@@ -179,90 +177,121 @@ def _cameras_of(folder: Path) -> dict[str, list[Path] | Path]:
     for base in (folder / "videos", folder / "frames"):
         if not base.is_dir():
             continue
-        videos = [p for p in sorted(base.iterdir()) if p.suffix.lower() in VIDEO_SUFFIXES]
+        videos = sorted(footage_files(base, VIDEO_SUFFIXES))
         if videos:
             return {p.stem: p for p in videos}
-        images = _image_files(base)
+        images = footage_files(base, IMAGE_SUFFIXES)
         if images:
             return {"cam0": images}
-        cameras = {p.name: _image_files(p) for p in sorted(base.iterdir()) if p.is_dir()}
+        folders = [p for p in sorted(base.iterdir()) if p.is_dir() and not is_foreign(p)]
+        cameras = {p.name: footage_files(p, IMAGE_SUFFIXES) for p in folders}
         cameras = {name: images for name, images in cameras.items() if images}
         if cameras:
             return cameras
-    videos = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in VIDEO_SUFFIXES]
+    videos = footage_files(folder, VIDEO_SUFFIXES)
     if len(videos) == 1:
         return {"cam0": videos[0]}
     raise UserError(f"{folder} holds no footage: it needs frames/ with images, one video, or videos/CAM.mp4")
 
 
-def _image_files(folder: Path) -> list[Path]:
-    return [p for p in sorted(folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES]
-
-
 @dataclasses.dataclass(frozen=True)
-class _Film:
-    """One camera's raw material. frames: image files or a video. stems: names of all its masks."""
+class _Taken:
+    """One camera's footage, the rate of all its moments, how many are between two chosen ones, and what is to be said
+    of it."""
 
-    name: str
-    frames: list[Path] | Path
-    stems: list[str]
+    footage: Footage
     rate: float | None
-    size: tuple[int, int]
-
-    @staticmethod
-    def of(name: str, frames: list[Path] | Path) -> _Film:
-        if isinstance(frames, Path):
-            facts = video_facts(frames)
-            return _Film(name, frames, [f"{k:06d}" for k in range(facts.count)], facts.rate, facts.size)
-        return _Film(name, frames, [p.stem for p in frames], None, _image(frames[0]).shape[1::-1])
-
-    def images(self, numbers: np.ndarray) -> Iterator[np.ndarray]:
-        if isinstance(self.frames, Path):
-            return video_frames(self.frames, numbers)
-        return (_image(self.frames[k]) for k in numbers)
+    step: int
+    notes: list[str]
 
 
-def _footage(film: _Film, lens: Lens | None, given: tuple[Path, Path] | None, options: SourceOptions
-             ) -> tuple[Footage, float | None, list[str]]:  # fmt: skip
-    """One camera's footage, its frame rate and what is to be said of it. given: landmarks file and folder of masks, or
-    None to look for the person."""
-    name, count, filmed = film.name, len(film.stems), film.size
+def _take(
+    film: Film, lens: Lens | None, given: tuple[Path, Path] | None, options: SourceOptions, alone: bool
+) -> _Taken:
+    """given: landmarks file and folder of masks, or None to look for the person. alone: no other camera's frames must
+    be chosen too."""
+    name, filmed = film.name, film.size
     if lens is not None and (lens.camera.width, lens.camera.height) != filmed:
         raise UserError(
             f"cameras.json: camera '{name}' is {lens.camera.width}x{lens.camera.height}, but its footage is "
             f"{filmed[0]}x{filmed[1]}"
         )
-    frames, longest, notes = options.frames, options.size, []
+    frames, longest_side, notes = _how_much(film, given, options)
+    moments = np.arange(len(film.order))[frames]
+    if not len(moments):
+        raise UserError(
+            f"`frames` leaves nothing of the {len(film.order)} frames of '{name}': choose a range inside "
+            f"0:{len(film.order)}"
+        )
+    cuts = find_cuts(film.images(film.order[moments]))
     if given is None:
-        if frames == slice(None) and options.most_frames and count > options.most_frames:
-            frames = slice(None, None, -(-count // options.most_frames))
-            notes.append(f"{name}: every {_ordinal(frames.step)} of {count} frames is taken (`max_frames`, `frames`)")
-        if longest is None and options.largest and max(filmed) > options.largest:
-            longest = options.largest
-            notes.append(f"{name}: {filmed[0]}x{filmed[1]} pixels are reduced to {longest} on the longer side (`size`)")
-    numbers = np.arange(count)[frames]
-    if not len(numbers):
-        raise UserError(f"`frames` leaves nothing of the {count} frames of '{name}': choose a range inside 0:{count}")
-    if given is None:
-        detection = options.detector(name, lambda: film.images(numbers), numbers, film.rate)
-        chosen, masks, rate, notes = detection.landmarks, detection.mask_files, film.rate, notes + detection.notes
+        moments, said = _one_shot(film, moments, cuts, "the scene changes", alone)
+        notes += said
+        chosen, masks, rate, moments, said = _found(film, moments, options.detector, alone)
+        reader = MaskReader(False, False, 255)
     else:
-        landmarks = _read_matching(given[0], film)
-        chosen, rate = landmarks[numbers], landmarks.fps or film.rate
-        masks = _mask_files(given[1], [film.stems[k] for k in numbers])
-    scale = 1.0 if longest is None else longest / max(filmed)
+        notes += _one_shot(film, moments, cuts, "the scene changes", False)[1]
+        landmarks, numbers = _read_matching(given[0], film), film.order[moments]
+        chosen, rate = landmarks[numbers], (landmarks.fps if film.even else None) or film.rate
+        masks, how = match_masks(given[1], film.stems, numbers.tolist())
+        reader, said = survey_masks(given[1], masks)
+        notes += [how] if how else []
+    scale = 1.0 if longest_side is None else longest_side / max(filmed)
     size = (max(1, round(filmed[0] * scale)), max(1, round(filmed[1] * scale)))
     image = lens.undistort_points(chosen.image) if lens is not None and np.any(lens.distortion) else chosen.image
     chosen = dataclasses.replace(chosen, image=image * (np.array(size) / filmed), width=size[0], height=size[1])
-    paths = film.frames if isinstance(film.frames, Path) else [film.frames[k] for k in numbers]
-    return Footage(name, paths, numbers, masks, filmed, size, lens, chosen), rate, notes
+    footage = Footage(film, film.order[moments], masks, reader, size, lens, chosen)
+    return _Taken(footage, rate, frames.step or 1, [*film.notes, *notes, *said])
+
+
+def _how_much(film: Film, given: tuple[Path, Path] | None, options: SourceOptions
+              ) -> tuple[slice, int | None, list[str]]:  # fmt: skip
+    """Which moments, how many pixels of the longer side (None: all), and sentences where raw footage is too much."""
+    frames, longest_side, notes, count = options.frames, options.size, [], len(film.order)
+    if given is None and frames == slice(None) and options.most_frames and count > options.most_frames:
+        frames = slice(None, None, -(-count // options.most_frames))
+        notes.append(f"{film.name}: every {_ordinal(frames.step)} of {count} frames is taken (`max_frames`, `frames`)")
+    if given is None and longest_side is None and options.largest and max(film.size) > options.largest:
+        longest_side = options.largest
+        notes.append(
+            f"{film.name}: {film.size[0]}x{film.size[1]} pixels are reduced to {longest_side} on the longer side "
+            "(`size`)"
+        )
+    return frames, longest_side, notes
+
+
+def _found(film: Film, moments: np.ndarray, detector: Detector, alone: bool
+           ) -> tuple[Landmarks, list[Path], float | None, np.ndarray, list[str]]:  # fmt: skip
+    """Landmarks and masks of the moments by looking, the rate, the moments of the person seen longest, and notes."""
+    numbers = film.order[moments]
+    detection = detector(film.name, lambda: film.images(numbers), numbers, film.rate)
+    kept, said = _one_shot(film, moments, detection.changes, "another person is followed", alone)
+    first = int(np.searchsorted(moments, kept[0]))
+    part = slice(first, first + len(kept))
+    return detection.landmarks[part], detection.mask_files[part], film.rate, kept, detection.notes + said
+
+
+def _one_shot(film: Film, moments: np.ndarray, starts: list[int], what: str, choose: bool
+              ) -> tuple[np.ndarray, list[str]]:  # fmt: skip
+    """The longest piece between `starts` (indices of `moments`) where one may `choose`, else all; and what to say."""
+    if not starts:
+        return moments, []
+    kept = moments[longest(starts, len(moments))]
+    first, last = int(kept[0]), int(kept[-1]) + 1
+    at = ", ".join(f"{moments[k]}" + (f" ({moments[k] / film.rate:.2f} s)" if film.rate else "") for k in starts[:6])
+    more = ", ..." if len(starts) > 6 else ""
+    done = (
+        f"only the longest part is taken, `frames={first}:{last}`; choose another by `frames`" if choose
+        else f"all of it is taken; choose one part by `frames`, the longest is `frames={first}:{last}`"
+    )  # fmt: skip
+    return (kept if choose else moments), [f"{film.name}: {what} at frame {at}{more}: {done}"]
 
 
 def _ordinal(n: int) -> str:
     return {2: "second", 3: "third"}.get(n, f"{n}th")
 
 
-def _read_matching(path: Path, film: _Film) -> Landmarks:
+def _read_matching(path: Path, film: Film) -> Landmarks:
     landmarks = read_landmarks(path)
     if len(landmarks) != len(film.stems):
         raise UserError(f"{path} has {len(landmarks)} frames, but the footage of '{film.name}' has {len(film.stems)}")
@@ -284,6 +313,11 @@ def _beside(path: Path, name: str, options: SourceOptions, alone: bool) -> tuple
     if options.detector is not None and not asked and not landmarks.is_file() and not masks.is_dir():
         return None
     missing, option = (masks, "`masks`") if landmarks.is_file() else (landmarks, "`landmarks`")
+    if path.is_file() and not asked:
+        raise UserError(
+            f"{masks} lies beside {path.name}, but no landmarks are named: give `landmarks`, or rename {masks.name} so "
+            "that both are found in the video"
+        )
     raise UserError(
         f"{missing} is missing: give {option}; without landmarks and masks (both) they are found in the footage"
     )
@@ -294,9 +328,7 @@ def _landmarks_file(path: Path, name: str, options: SourceOptions, alone: bool) 
     given = options.landmarks
     if given is not None and given.is_file() and alone:
         return given
-    if path.is_file() and given is None:  # what lies beside a video that was named need not belong to it
-        return path.with_suffix(".npz")
-    base = path if given is None else given
+    base = path if given is None else given  # what lies beside a video that was named need not belong to it
     choices = [base / "landmarks.npz"] * alone + [base / f"landmarks_{name}.npz", base / f"{name}.npz"]
     return next((choice for choice in choices if choice.is_file()), choices[0])
 
@@ -304,54 +336,3 @@ def _landmarks_file(path: Path, name: str, options: SourceOptions, alone: bool) 
 def _mask_folder(path: Path, name: str, options: SourceOptions, alone: bool) -> Path:
     base = options.masks or (path.with_name(f"{path.stem}_masks") if path.is_file() else path / "masks")
     return base if alone and not (base / name).is_dir() else base / name
-
-
-def _mask_files(folder: Path, stems: list[str]) -> list[Path]:
-    files = [folder / f"{stem}.png" for stem in stems]
-    missing = [path for path in files if not path.is_file()]
-    if missing:
-        raise UserError(f"{missing[0]} is missing ({len(missing)} of {len(files)} masks): every frame needs its mask")
-    return files
-
-
-def _image(path: Path, flag: int = cv2.IMREAD_COLOR) -> np.ndarray:
-    image = cv2.imread(str(path), flag)
-    if image is None:
-        raise UserError(f"{path} cannot be read as an image: it is damaged or of an unknown format")
-    return image
-
-
-def read_lenses(path: Path) -> dict[str, Lens]:
-    """Read cameras.json: width, height, fx, fy, cx, cy, world_to_camera (4x4) and, where the lens distorts,
-    distortion_k1_k2_p1_p2. Raises UserError naming camera and field."""
-    try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-        items = list(entries.items())
-    except FileNotFoundError:
-        raise UserError(f"{path} is missing: give the calibrated cameras as `cameras`") from None
-    except (json.JSONDecodeError, UnicodeDecodeError, AttributeError) as error:
-        raise UserError(f"{path} is not a JSON object of cameras: {error}") from None
-    lenses = {}
-    for name, entry in items:
-        try:
-            T = np.asarray(entry["world_to_camera"], np.float64)
-            numbers = [float(entry[key]) for key in ("fx", "fy", "cx", "cy")]
-            camera = Camera(int(entry["width"]), int(entry["height"]), *numbers, T)
-            distortion = np.asarray(entry.get("distortion_k1_k2_p1_p2", [0, 0, 0, 0]), np.float64)
-        except KeyError as error:
-            raise UserError(f"{path}: camera '{name}' has no field {error}") from None
-        except (TypeError, ValueError, AttributeError) as error:
-            raise UserError(f"{path}: camera '{name}' has a field of the wrong type ({error})") from None
-        rigid = (
-            T.shape == (4, 4) and np.isfinite(T).all() and np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3)
-        )
-        if not rigid:
-            raise UserError(f"{path}: camera '{name}': world_to_camera must be a rigid 4x4 matrix")
-        if not (camera.width > 0 and camera.height > 0 and camera.fx > 0 and camera.fy > 0):
-            raise UserError(f"{path}: camera '{name}': width, height, fx and fy must be positive")
-        if distortion.shape != (4,) or not np.isfinite(distortion).all():
-            raise UserError(f"{path}: camera '{name}': distortion_k1_k2_p1_p2 must be four finite numbers")
-        lenses[name] = Lens(camera, distortion)
-    if not lenses:
-        raise UserError(f"{path} holds no camera")
-    return lenses

@@ -6,7 +6,7 @@ import pytest
 from known_people import FPS, cameras_around, plausible_motion, seen_by
 
 from gavatar.preparation.anatomy import joint_ranges
-from gavatar.preparation.footage_source import Lens
+from gavatar.preparation.footage.lens import Lens
 from gavatar.preparation.initial import torso_frames, unflip
 from gavatar.preparation.landmarks import BONES, INDEX, MIRROR, NAMES, landmark_rows, read_landmarks
 from gavatar_runtime.errors import UserError
