@@ -14,9 +14,9 @@ from places import DEMO
 from gavatar.capture.capture import read_capture
 from gavatar.preparation.detect import Detector
 from gavatar.preparation.draw import iou
+from gavatar.preparation.footage.video_reading import video_facts, video_frames
 from gavatar.preparation.footage_source import SourceOptions, open_source
 from gavatar.preparation.pose_network import PoseNetworks
-from gavatar.preparation.footage.video_reading import video_facts, video_frames
 from gavatar_runtime.errors import UserError
 
 

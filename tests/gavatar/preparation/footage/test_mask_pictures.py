@@ -71,11 +71,12 @@ def palette_png(path, indices, colours, transparency=b""):
         return struct.pack(">I4s", len(body), kind) + body + struct.pack(">I", zlib.crc32(kind + body))
 
     rows = b"".join(b"\0" + row.tobytes() for row in indices)
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0))
+    palette = chunk(b"PLTE", np.array(colours, np.uint8).tobytes())
+    palette += chunk(b"tRNS", transparency) if transparency else b""
     path.write_bytes(
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0))
-        + chunk(b"PLTE", np.array(colours, np.uint8).tobytes()) + (chunk(b"tRNS", transparency) if transparency else b"")
-        + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
-    )  # fmt: skip
+        b"\x89PNG\r\n\x1a\n" + header + palette + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    )
 
 
 DAVIS = [(0, 0, 0), (128, 0, 0), (0, 128, 0)]
