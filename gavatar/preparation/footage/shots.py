@@ -15,7 +15,9 @@ SIDE = 32  # pixels of the thumbnails that are compared
 # Of two frames: most uncut, least across a cut between scenes. A cut has all three.
 STILL = 0.03  # median change of a pixel, which a person does not reach: 0.008, 0.07
 COLOURS = 0.16  # share of the pixels whose colour the other has not: 0.12, 0.21
-SHAPES = 0.38  # 1 - correlation of grey thumbnails, which light does not change: 0.37, 0.39
+# 1 - correlation of grey thumbnails, which light does not change: 0.14 (0.37 before a plain wall, which STILL leaves
+# out), 0.37
+SHAPES = 0.25
 ABRUPT = 4.0  # times the changes around it, against a camera that pans
 AROUND = 3  # frames on either side that are compared
 OTHER = 0.3  # as COLOURS of the person before and after: 0.27 for one person who turns, 0.33 for two
