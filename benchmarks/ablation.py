@@ -34,6 +34,7 @@ from gavatar.storage import write_image, write_json
 from gavatar.text_table import format_table
 from gavatar.training.preview import error_map
 from gavatar.training.run import open_run, train
+from gavatar_runtime.cpus import usable_cpus
 from gavatar_runtime.errors import exit_cleanly
 from gavatar_runtime.geometry.spacing import evenly_spaced
 
@@ -275,7 +276,7 @@ def launch(args: argparse.Namespace, argv: list[str], job: tuple[str, str, str],
         return "not started: --minutes were over"
     directory = run_directory(args, *job)
     directory.mkdir(parents=True, exist_ok=True)
-    threads = str(max(1, (os.cpu_count() or 1) // args.jobs))
+    threads = str(max(1, usable_cpus() // args.jobs))
     environment = os.environ | {"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", threads)}
     with open(directory / "log.txt", "w", encoding="utf-8") as log:
         command = [sys.executable, __file__, *argv, "--one", *job]

@@ -28,6 +28,7 @@ from splat_scenes import as_numpy, as_torch, body_camera, body_scene, map_fields
 
 from gavatar.registry import RASTERIZERS, load_plugins  # noqa: E402
 from gavatar_runtime import native_library as nl  # noqa: E402
+from gavatar_runtime.cpus import usable_cpus  # noqa: E402
 from gavatar_runtime.errors import UserError  # noqa: E402
 from gavatar_runtime.formats.files import write_json  # noqa: E402
 from gavatar_runtime.geometry.skinning import skin  # noqa: E402
@@ -40,7 +41,7 @@ SWITCHES = (
     {"fast": True}, {"backface": 0.3}, {"backface": 0.1}, {"depth_cut": 0.3}, {"depth_cut": 0.2}, {"resolution": 0.75},
     {"resolution": 0.5}, {"antialiased": True},
 )  # fmt: skip
-CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+CORES = usable_cpus()
 
 
 def measure(run, seconds: float) -> dict[str, float]:

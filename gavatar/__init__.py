@@ -15,6 +15,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from gavatar_runtime import __version__
+from gavatar_runtime.cpus import cpu_quota, usable_cpus
 from gavatar_runtime.errors import UserError
 
 from .optional import import_from_extra
@@ -28,6 +29,10 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 # torch then asks the kernel for large pages under tensors of 2 MB and more: fewer page faults (training/memory.py has
 # the other half). Read when torch allocates for the first time.
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
+
+# OpenMP and torch keep to the affinity by themselves, but know nothing of a container's quota.
+if cpu_quota() is not None:
+    os.environ.setdefault("OMP_NUM_THREADS", str(usable_cpus()))
 
 __all__ = [
     "ExportedAvatar", "PreparedCapture", "TrainedRun", "UserError", "__version__", "open_capture", "open_run",

@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from . import splatting_rule as rules
+from .cpus import usable_cpus
 from .errors import UserError
 
 ABI_VERSION = 4
+MOST_THREADS = 256  # as in pool.cpp
 LIBRARY = Path(__file__).with_name("_gavatar_native" + {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so"))
 
 INSTALL_AGAIN = "install gavatar again (in a checkout: pip install -e .)"
@@ -129,6 +131,7 @@ def _load() -> tuple[ctypes.CDLL | None, str]:
         return None, f"{path.name} is of another version of gavatar ({difference}); {INSTALL_AGAIN}"
     if not lib.gv_isa_supported(0):
         return None, "this processor lacks SSE4.1"
+    lib.gv_set_threads(min(usable_cpus(), MOST_THREADS))  # the kernel by itself knows affinity, but no quotas
     wanted = os.environ.get("GAVATAR_NATIVE_ISA")
     if wanted:
         _choose(lib, wanted)
@@ -179,10 +182,10 @@ def threads() -> int:
 
 
 def set_threads(count: int) -> None:
-    """Use `count` threads from now on; 0 for as many as the process has cores."""
-    if not 0 <= count <= 256:
-        raise UserError(f"rasterizer.threads must be between 0 and 256, got {count}")
-    library().gv_set_threads(count)
+    """Use `count` threads from now on; 0 for as many as `cpus.usable_cpus`, at most `MOST_THREADS`."""
+    if not 0 <= count <= MOST_THREADS:
+        raise UserError(f"rasterizer.threads must be between 0 and {MOST_THREADS}, got {count}")
+    library().gv_set_threads(count or min(usable_cpus(), MOST_THREADS))
 
 
 class Frame:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
+
+from gavatar_runtime.cpus import usable_cpus
 
 from ..storage import atomic
 from ..text_table import format_table
@@ -45,7 +46,7 @@ def table(rows: list[Row], machine: str, perceptual: str | None) -> str:
     """One line a choice, with what a reader must know to use the numbers."""
     lines = [_cells(row) for row in rows]
     notes = [
-        f"{rows[0].width} x {rows[0].height} pixels, {os.cpu_count()} cores, {machine}; frame times are medians after "
+        f"{rows[0].width} x {rows[0].height} pixels, {usable_cpus()} cores, {machine}; frame times are medians after "
         "a warm-up, writing excluded",
         "vs full, footage, worst: PSNR of whole frames on white, dB; dominated: another choice is faster and closer",
     ]

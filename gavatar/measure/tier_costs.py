@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.bundle import read_bundle
+from gavatar_runtime.cpus import usable_cpus
 from gavatar_runtime.play.framing import frame_motion
 from gavatar_runtime.tiers import player_tiers, stored_tiers
 from gavatar_runtime.values.motion import Motion
@@ -46,7 +46,7 @@ def describe_tiers(path: Path, poses: Mapping[str, np.ndarray], size: int = SIZE
         for name in sets:
             likeness = compare(drawn[name], full[name])
             entry |= {f"psnr_{name}": round(likeness.psnr, 2), f"worst_psnr_{name}": round(likeness.worst_psnr, 2)}
-        entry |= {"frame_ms": round(speed.median_ms, 2), "size": size, "cores": os.cpu_count(), "machine": machine()}
+        entry |= {"frame_ms": round(speed.median_ms, 2), "size": size, "cores": usable_cpus(), "machine": machine()}
         described.append(entry)
     return described
 

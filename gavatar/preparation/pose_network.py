@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import onnxruntime
 
+from gavatar_runtime.decoding.network import session_options
 from gavatar_runtime.errors import UserError
 
 from .landmarks import MIRROR
@@ -131,10 +132,8 @@ def merge_overlapping(boxes: np.ndarray, scores: np.ndarray, overlap: float = OV
 
 
 def _session(path: Path) -> onnxruntime.InferenceSession:
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        return onnxruntime.InferenceSession(str(path), session_options(), providers=["CPUExecutionProvider"])
     except Exception as error:  # the runtime's own error classes differ from version to version
         raise UserError(f"{path} cannot be read as an ONNX network: {error}") from None
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from gavatar_runtime.cpus import usable_cpus
 from gavatar_runtime.progress import shown
 
 from ..assemble import AvatarBuild, build_avatar, build_rasterizer, capture_on_body, choose_device
@@ -39,8 +40,7 @@ class Trainer:
     def __init__(self, config: TrainConfig, directory: Path):
         keep_freed_memory()
         self.config, self.directory = config, Path(directory)
-        if config.threads:
-            torch.set_num_threads(config.threads)
+        torch.set_num_threads(config.threads or min(torch.get_num_threads(), usable_cpus()))
         device = choose_device(config.device)
         capture = open_capture(config.capture, config.capture_format)
         capture.check()

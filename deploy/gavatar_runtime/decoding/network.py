@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from ..bundle import Bundle
+from ..cpus import usable_cpus
 from ..errors import UserError
 
 CHUNK = 2048  # rows that a decoder's graph takes at once: the widest activations (2 MB) stay in a core's caches
@@ -23,8 +23,8 @@ class Network:
     by_rows: it will be called with `rows`; where the member has that optional input (`picks`), each thread decodes a
     share of the rows by itself. (The products of a chunk are too small to be shared: two threads that wait for each
     other at every one of them took 1.2 times as long in float32 and 1.45 times in int8.)
-    threads: None for one a core. Raises UserError for a member that is missing, damaged, or that ONNX Runtime cannot
-    load.
+    threads: None for as many as `cpus.usable_cpus`. Raises UserError for a member that is missing, damaged, or that
+    ONNX Runtime cannot load.
     """
 
     def __init__(
@@ -37,6 +37,7 @@ class Network:
         *,
         by_rows: bool = False,
     ):
+        threads = threads or usable_cpus()
         self._session = _session(bundle, member, 1 if by_rows else threads)
         self.picks = by_rows and ROWS in {x.name for x in self._session.get_overridable_initializers()}
         if by_rows and not self.picks:  # a bundle of the time before `rows`
@@ -50,7 +51,7 @@ class Network:
                 f"{inputs} and outputs {outputs}; export the avatar again"
             )
         self.inputs, self._outputs = inputs, list(outputs)
-        self._workers = (threads or _cores()) if self.picks else 1
+        self._workers = threads if self.picks else 1
         self._pool = ThreadPoolExecutor(self._workers - 1) if self._workers > 1 else None
         self._bindings = [self._session.io_binding() for _ in range(self._workers)]
 
@@ -93,17 +94,27 @@ class Network:
         return list(out)
 
 
-def _session(bundle: Bundle, member: str, threads: int | None):
-    """An ONNX Runtime session of a member, `threads` within one operator."""
+def session_options(threads: int | None = None):
+    """The SessionOptions of a network that shares the CPUs with other work: `threads` within one operator, None for as
+    many as `cpus.usable_cpus`, that sleep between operators; silent."""
     import onnxruntime  # a tenth of a second that reading a manifest need not pay
 
     options = onnxruntime.SessionOptions()
     options.inter_op_num_threads = 1
-    if threads is not None:
-        options.intra_op_num_threads = threads
+    # Always a number: left to itself, ONNX Runtime counts the machine's cores and binds a worker to each of them, out
+    # of the affinity that the process was given.
+    options.intra_op_num_threads = threads or usable_cpus()
     # idle workers would spin on the cores that skinning and splatting need next
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 3
+    return options
+
+
+def _session(bundle: Bundle, member: str, threads: int):
+    """An ONNX Runtime session of a member, `threads` within one operator."""
+    import onnxruntime
+
+    options = session_options(threads)
     data = bundle.read(member)
     try:
         return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
@@ -111,8 +122,3 @@ def _session(bundle: Bundle, member: str, threads: int | None):
         cause = str(error).strip().splitlines()[0]
         version = onnxruntime.__version__
         raise UserError(f"{bundle.path}: ONNX Runtime {version} cannot load {member}: {cause}") from error
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -17,6 +17,7 @@ from splat_scenes import as_numpy, random_scene, simple_camera
 from gavatar_plugins.rasterizers.native import NativeRasterizer as Trainer
 from gavatar_plugins.rasterizers.native import NativeRasterizerConfig
 from gavatar_runtime import native_library as nl
+from gavatar_runtime.cpus import usable_cpus
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.render.rasterizers.native import NativeConfig
 from gavatar_runtime.render.rasterizers.native import NativeRasterizer as Player
@@ -39,7 +40,7 @@ def test_the_number_of_threads_changes_no_bit(kind):
 
 def test_threads_default_to_the_cores_of_the_process():
     nl.set_threads(0)
-    assert nl.threads() == len(os.sched_getaffinity(0))
+    assert nl.threads() == usable_cpus()
     with pytest.raises(UserError, match=r"rasterizer\.threads"):
         Player(NativeConfig(threads=-1))
 

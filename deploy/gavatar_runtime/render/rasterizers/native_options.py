@@ -16,7 +16,7 @@ FAST_BLOCK_STOP = 4e-3  # transmittance: what is left to come moves a color by a
 
 @dataclasses.dataclass
 class NativeOptions:
-    """threads: of the kernel's pool, 0 for as many as the process has cores (the pool is shared by the process).
+    """threads: of the kernel's pool, 0 for as many as `cpus.usable_cpus` (the pool is shared by the process).
 
     What follows trades exactness for speed or looks; docs/lab/splatting.md has what each costs and gains.
     fast: a cubic exponential, and 4x4 blocks that end once no pixel lets 4e-3 through instead of 1e-4.
