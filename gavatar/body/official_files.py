@@ -17,6 +17,7 @@ import numpy as np
 from gavatar_runtime.errors import UserError, did_you_mean
 from gavatar_runtime.formats.numpy_file import load_npz
 from gavatar_runtime.formats.safe_pickle import load_pickle
+from gavatar_runtime.geometry.skinning import whole_weights
 from gavatar_runtime.values.body import BodyData, Hands
 from gavatar_runtime.values.skeletons import SMPL, SMPLH, SMPLX
 
@@ -129,7 +130,7 @@ def read_body(family: Family, path: Path, *, num_betas: int = 0, num_expression:
         shapedirs=shapedirs[:, :, : num_betas or None].astype(np.float32),
         J_regressor=np.asarray(arrays["J_regressor"], np.float64),
         parents=parents,
-        lbs_weights=np.asarray(arrays["weights"], np.float64),
+        lbs_weights=whole_weights(np.asarray(arrays["weights"], np.float64), f"{path}: 'weights'"),
         faces=faces,
         uv=vt,
         uv_faces=ft,

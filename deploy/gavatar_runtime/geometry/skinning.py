@@ -5,7 +5,45 @@ from __future__ import annotations
 import numpy as np
 
 from .. import native_library as nl
+from ..errors import WrongValue
 from . import kinematics
+
+# By storage alone a row of weights may sum to so much more or less than one: 5e-4 in float16, 8e-3 from four weights in
+# 8 bits. What float32 leaves, 1e-7 a weight, is kept to the last bit.
+STORED, EXACT = 1e-2, 1e-5
+
+
+def whole_weights(weights: np.ndarray, what: str) -> np.ndarray:
+    """Skinning weights whose rows sum to one, or WrongValue.
+
+    weights: (V, J), of any number type. Returns them as they are where all rows sum to one within `EXACT`; else floats
+    whose rows that are off by at most `STORED` were divided by their sums, without a note, as storage explains that
+    much. Negative weights of at most `EXACT` become zero. WrongValue says of `what` (file and field) which row is not
+    finite, negative, all zero, or sums to something else: points would be drawn towards the origin or away from it.
+    `skin` and its like take weights as they are, so bodies are checked by this once, when they are made, and bundles
+    by `read_bundle`'s rules for their arrays.
+    """
+    weights = np.asarray(weights)
+    values = weights.astype(np.promote_types(weights.dtype, np.float32), copy=False)
+    sums = values.sum(-1, dtype=np.float64)
+    smallest = values.min(-1, initial=0.0)
+    for wrong, fault in (
+        (~np.isfinite(sums), "hold NaN or infinity"),
+        (smallest < -EXACT, "hold negative numbers"),
+        (np.abs(sums) <= EXACT, "are all zero"),
+        (np.abs(sums - 1) > STORED, "do not sum to 1"),
+    ):
+        if wrong.any():
+            row, rows = int(np.argmax(wrong)), int(wrong.sum())
+            raise WrongValue(
+                f"{what}: the skinning weights of {rows} of {len(sums)} vertices {fault} (vertex {row} first, sum "
+                f"{sums[row]:.4g}): each row must be the parts of 1 that the joints have in a vertex"
+            )
+    if (np.abs(sums - 1) <= EXACT).all() and not (smallest < 0).any():
+        return weights
+    values = np.maximum(values, 0)
+    sums = values.sum(-1, keepdims=True, dtype=np.float64)
+    return np.where(np.abs(sums - 1) <= EXACT, values, values / sums).astype(values.dtype)
 
 
 def skin(
@@ -13,8 +51,8 @@ def skin(
 ) -> np.ndarray:
     """Linear blend skinning with sparse weights; the same as `kinematics.skin`, many times faster in float32.
 
-    points: (N, 3) metres, in the frame A maps from. joint_index: (N, K) int; joint_weight: (N, K), rows sum to 1,
-    unused entries have weight 0. A: (J, 4, 4) or (J, 3, 4). out: (N, 3) float32 to fill, or None for a new array.
+    points: (N, 3) metres, in the frame A maps from. joint_index: (N, K) int; joint_weight: (N, K), rows sum to 1
+    (`whole_weights`), unused entries have weight 0; a row of zeros puts its point at the origin. A: (J, 4, 4) or (J, 3, 4). out: (N, 3) float32 to fill, or None for a new array.
     Returns (N, 3), of the points' dtype. Raises ValueError for shapes that do not belong together and IndexError for
     a joint that A does not have. int32 indices, float32 weights and contiguous arrays spare a conversion.
     """

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..geometry.kinematics import joint_transforms, skinning_transforms
 from ..geometry.rotations import matrix_from_axis_angle
+from ..geometry.skinning import whole_weights
 
 SMPL_BODY_JOINTS = 22  # pelvis to wrists: the joints SMPL, SMPL-H and SMPL-X share, in the same order
 FACE_JOINTS = ("jaw", "left_eye_smplhf", "right_eye_smplhf")  # of SMPL-X, between body and hands
@@ -42,7 +43,8 @@ class BodyData:
     """An SMPL-family body: template, shape directions, skeleton, skinning weights, UV atlas.
 
     v_template: (V, 3) metres, y-up. shapedirs: (V, 3, B) metres per beta. J_regressor: (J, V).
-    parents: (J,) int, root -1. lbs_weights: (V, J), rows sum to 1. faces: (F, 3) int vertex indices.
+    parents: (J,) int, root -1. lbs_weights: (V, J), rows sum to 1 (what storage took from
+    the sum is given back, more raises WrongValue: `whole_weights`). faces: (F, 3) int vertex indices.
     uv: (U, 2) in [0, 1], v up. uv_faces: (F, 3) int indices into uv. joint_names: J names.
     posedirs: (V, 3, 9 (J-1)) pose blendshapes in metres per rotation-matrix entry, or None. exprdirs: (V, 3, E) metres
     per expression coefficient, or None. hands: of bodies with 15 joints a hand at the end of their list, or None.
@@ -61,6 +63,9 @@ class BodyData:
     posedirs: np.ndarray | None = None
     exprdirs: np.ndarray | None = None
     hands: Hands | None = None
+
+    def __post_init__(self):
+        object.__setattr__(self, "lbs_weights", whole_weights(self.lbs_weights, f"body '{self.name}'"))
 
     @property
     def num_joints(self) -> int:

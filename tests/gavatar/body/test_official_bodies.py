@@ -162,6 +162,8 @@ def test_an_atlas_of_another_mesh_is_refused(tmp_path):
         ({"weights": None}, "'weights' is missing"),
         ({"v_template": np.full((60, 3), np.nan)}, "'v_template' holds NaN"),
         ({"weights": np.ones((60, 54))}, r"'weights' has shape \(60, 54\), expected \(60, 55\)"),
+        ({"weights": np.full((60, 55), 0.5 / 55)}, r"'weights': the skinning weights of 60 of 60 vertices do not sum"),
+        ({"weights": np.zeros((60, 55))}, r"'weights': .* are all zero"),
         ({"posedirs": np.ones((60, 3, 207))}, r"'posedirs' has shape"),
         ({"kintree_table": random_arrays("smplh")["kintree_table"]}, "has 52 joints and SMPL-X has 55.*SMPL-H"),
         ({"kintree_table": np.array([[7] * 55, range(55)])}, "every parent before its children"),
