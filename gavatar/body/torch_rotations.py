@@ -14,8 +14,11 @@ def matrix_from_axis_angle(axis_angle: Tensor) -> Tensor:
 
     a = sin(t)/t and b = (1 - cos t)/t^2 = (sin(t/2)/(t/2))^2 / 2 are smooth functions of t^2; below t^2 = 1e-4 their
     Taylor series is used (truncation below 1e-13 relative), so value and gradient are exact at zero and no epsilon
-    enters anywhere. At t = pi nothing is singular: the axis is the input's own.
+    enters anywhere. At t = pi nothing is singular: the axis is the input's own. float16 and bfloat16 are computed in
+    float32: their squares of angles end at 256 and hold two or three digits.
     """
+    if axis_angle.dtype in (torch.float16, torch.bfloat16):
+        return matrix_from_axis_angle(axis_angle.float()).to(axis_angle.dtype)
     t2 = (axis_angle * axis_angle).sum(-1)[..., None, None]
     small = t2 < 1e-4
     t = torch.sqrt(torch.where(small, torch.ones_like(t2), t2))

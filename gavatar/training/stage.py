@@ -132,11 +132,20 @@ class Stage:
                 bar.advance(**told)
                 if not np.isfinite(losses["total"]):
                     self._diverged(step, losses["total"])
-                if (step + 1) % plan.save_every == 0 and not last:
+                due = (step + 1) % plan.save_every == 0
+                if due or last:
+                    self._check_learned(step)
+                if due and not last:
                     record.seconds[plan.number] += time.perf_counter() - clock
                     clock = time.perf_counter()
                     self.save(step + 1)
         record.seconds[plan.number] += time.perf_counter() - clock
+
+    def _check_learned(self, step: int) -> None:
+        """No checkpoint and no avatar of numbers that are none: a gradient of NaN shows in the loss one step later."""
+        groups = [group for optimizer in self.optimizers.values() for group in optimizer.param_groups]
+        if not all(torch.isfinite(p).all() for group in groups for p in group["params"]):
+            self._diverged(step, float("nan"))
 
     def _diverged(self, step: int, loss: float) -> None:
         number, rates = self.plan.number, f"stage{self.plan.number}.lr_decoder or motion.lr"

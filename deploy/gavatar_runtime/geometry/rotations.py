@@ -8,10 +8,13 @@ import numpy as np
 def quaternion_from_axis_angle(axis_angle: np.ndarray) -> np.ndarray:
     """(..., 3) axis-angle, radians -> (..., 4) unit quaternions wxyz. Exact limit at zero, any angle."""
     axis_angle = np.asarray(axis_angle)
+    dtype = axis_angle.dtype
+    if dtype == np.float16:  # squares of angles above 256 are beyond it
+        axis_angle = axis_angle.astype(np.float32)
     angle = np.linalg.norm(axis_angle, axis=-1, keepdims=True)
     # np.sinc(x) = sin(pi x)/(pi x): sin(angle/2)/angle with the right limit 1/2 at zero
     factor = 0.5 * np.sinc(angle / (2 * np.pi))
-    return np.concatenate([np.cos(angle / 2), axis_angle * factor], -1).astype(axis_angle.dtype, copy=False)
+    return np.concatenate([np.cos(angle / 2), axis_angle * factor], -1).astype(dtype, copy=False)
 
 
 def axis_angle_from_quaternion(quaternion: np.ndarray) -> np.ndarray:

@@ -52,9 +52,10 @@ def skin(
     """Linear blend skinning with sparse weights; the same as `kinematics.skin`, many times faster in float32.
 
     points: (N, 3) metres, in the frame A maps from. joint_index: (N, K) int; joint_weight: (N, K), rows sum to 1
-    (`whole_weights`), unused entries have weight 0; a row of zeros puts its point at the origin. A: (J, 4, 4) or (J, 3, 4). out: (N, 3) float32 to fill, or None for a new array.
-    Returns (N, 3), of the points' dtype. Raises ValueError for shapes that do not belong together and IndexError for
-    a joint that A does not have. int32 indices, float32 weights and contiguous arrays spare a conversion.
+    (`whole_weights`), unused entries have weight 0; a row of zeros puts its point at the origin. A: (J, 4, 4) or
+    (J, 3, 4). out: (N, 3) float32 to fill, or None for a new array. Returns (N, 3), of the points' dtype.
+    Raises ValueError for shapes that do not belong together and IndexError for a joint that A does not have. int32
+    indices, float32 weights and contiguous arrays spare a conversion.
     """
     if points.dtype != np.float32 or not nl.available()[0]:
         result = kinematics.skin(points, joint_index, joint_weight, A)
