@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Tries the oldest versions that pyproject.toml promises: installs them with the package into a throw-away environment,
+# Tries the oldest versions that pyproject.toml promises (the last patch of each): installs them with the package into a throw-away environment,
 # asks pip whether they fit each other, and runs the tests of the player (or those given).
 #
 #     PYTHON=python3.10 tools/oldest_versions.sh [TEST ...]

@@ -90,7 +90,7 @@ def imports_within(*rooms: Path) -> dict[str, set[str]]:
 
 # the runtime's rooms, the lowest first: each may import what stands before it
 FLOORS = (
-    ("version", "notes", "progress"), ("errors", "splatting_rule"), ("components", "plugins", "native_library"),
+    ("cpus", "version", "notes", "progress"), ("errors", "splatting_rule"), ("components", "plugins", "native_library"),
     ("geometry",), ("values",), ("formats",), ("bundle", "rigs"), ("motions",), ("decoding",), ("tiers",), ("avatar",),
     ("render",), ("play",), ("player_face",), ("cli",),
     ("gavatar_runtime",),
