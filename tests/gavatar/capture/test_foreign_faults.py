@@ -16,7 +16,10 @@ from tiny_capture import write_tiny_capture
 from gavatar.capture.check import check_capture
 from gavatar.capture.opening import open_capture
 from gavatar.cli.prepare import main as prepare
+from gavatar.registry import load_plugins
 from gavatar_runtime.errors import UserError
+
+load_plugins()
 
 FAULTS = {
     "instantavatar": {

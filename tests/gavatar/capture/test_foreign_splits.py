@@ -10,10 +10,12 @@ import pytest
 from gavatar.capture.capture import View
 from gavatar.capture.check import check_capture
 from gavatar.capture.opening import open_capture
+from gavatar.registry import load_plugins
 from gavatar_plugins.captures.instantavatar import PUBLISHED, InstantAvatarCapture, InstantAvatarOptions
-from gavatar_plugins.captures.neuman import _splits as neuman_splits
 from gavatar_plugins.captures.zju import ZjuCapture, ZjuOptions
 from gavatar_runtime.errors import UserError
+
+load_plugins()
 
 
 def test_published_splits_of_people_snapshot_are_taken_by_the_folders_name(tmp_path):
@@ -97,8 +99,9 @@ def test_neumans_masks_may_be_arrays_and_its_splits_are_rounded_as_its_authors_d
     assert capture.mask_path(view).name == "00000.png.npy"
     np.testing.assert_array_equal(capture.load(view)[1] > 0.5, expected["person"])
     assert check_capture(tmp_path).faults == []
-    names = [f"{i:05d}.png" for i in range(1245)]
-    splits = neuman_splits(tmp_path, names)
+    (tmp_path / "long").mkdir()
+    write.neuman(tmp_path / "long", frames=1245)
+    splits = open_capture(tmp_path / "long").splits
     held = list(range(1245))[2::4]  # int(1 / 249 * 1245) is 4, not 5
     assert sorted(v.frame for s in ("test", "val") for v in splits[s]) == held
 

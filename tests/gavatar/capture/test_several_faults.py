@@ -14,7 +14,10 @@ from tiny_capture import write_tiny_capture
 
 from gavatar.capture.check import check_capture
 from gavatar.capture.opening import open_capture
+from gavatar.registry import load_plugins
 from gavatar_runtime.errors import UserError
+
+load_plugins()
 
 
 def _break_poses(folder):
