@@ -12,11 +12,11 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from fetched_wheels import OFFLINE
 from places import ROOT
 
 RUNTIME_COMMANDS = {"gavatar-play", "gavatar-motion", "gavatar-list"}
 NEEDS_TRAINING = "pip install 'gavatar[train]'"
-OFFLINE = ("NewConnectionError", "ConnectTimeout", "Temporary failure in name resolution", "from versions: none")
 
 
 def run(*command: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess:
