@@ -19,9 +19,9 @@ BAR_WIDTH = 24
 _label: str | None = None
 
 
-def lines_only(label: str) -> None:
+def lines_only(label: str | None) -> None:
     """From here on this process writes plain lines that begin with `label`, even to a terminal: others write there
-    too."""
+    too. None takes it back."""
     global _label
     _label = label
 

@@ -124,11 +124,11 @@ def _filter(x: Tensor, h: int, w: int) -> Tensor:
     """Valid separable Gaussian filter of h x w pixels (odd), by the fastest means for the tensor at hand."""
     differentiated = torch.is_grad_enabled() and x.requires_grad  # only in a second-order backward
     fast = x.device.type == "cpu" and x.numel() and not differentiated
-    return _filter_stacked(x, h, w) if fast else _filter_convolved(x, h, w)
+    return filter_stacked(x, h, w) if fast else filter_convolved(x, h, w)
 
 
-def _filter_stacked(x: Tensor, h: int, w: int) -> Tensor:
-    """`_filter_convolved` by OpenCV, some three times faster on a CPU: all channels under one another as one image, and
+def filter_stacked(x: Tensor, h: int, w: int) -> Tensor:
+    """`filter_convolved` by OpenCV, some three times faster on a CPU: all channels under one another as one image, and
     the rows that mix two of them cut away."""
     B, C, H, W = x.shape
     stack = x.detach().contiguous().numpy().reshape(B * C * H, W)
@@ -137,8 +137,9 @@ def _filter_stacked(x: Tensor, h: int, w: int) -> Tensor:
     return torch.from_numpy(y).view(B, C, H, W)[..., h // 2 : H - h // 2, w // 2 : W - w // 2]
 
 
-def _filter_convolved(x: Tensor, h: int, w: int) -> Tensor:
-    """The reference, on any device."""
+def filter_convolved(x: Tensor, h: int, w: int) -> Tensor:
+    """(B, C, H, W) -> (B, C, H - h + 1, W - w + 1): a Gaussian of h x w pixels (odd) where it fits. The reference, on
+    any device and with gradients."""
     channels = x.shape[0] * x.shape[1]
     rows, columns = _gaussian(h, x.dtype, x.device), _gaussian(w, x.dtype, x.device)
     # channels last is the layout in which a depthwise convolution is vectorised

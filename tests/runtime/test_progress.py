@@ -123,10 +123,13 @@ def test_an_error_within_ends_the_line():
     assert stream.getvalue().endswith("stage 1: 0/10 steps, took 0 s\n")
 
 
-def test_processes_that_share_a_terminal_write_lines_with_their_name(monkeypatch):
-    monkeypatch.setattr(progress, "_label", None)
+def test_processes_that_share_a_terminal_write_lines_with_their_name():
     progress.lines_only("runs/anna")
-    assert run(Terminal(), 20, 1.0)[0] == "runs/anna: stage 1: 10/20 steps (50 %), loss 0.1, 10 s left"
+    try:
+        assert run(Terminal(), 20, 1.0)[0] == "runs/anna: stage 1: 10/20 steps (50 %), loss 0.1, 10 s left"
+    finally:
+        progress.lines_only(None)
+    assert "runs/anna" not in "".join(run(Terminal(), 20, 1.0))
 
 
 @pytest.mark.parametrize(

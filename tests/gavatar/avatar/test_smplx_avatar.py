@@ -15,6 +15,7 @@ from tiny_capture import SMALL, write_tiny_capture
 from gavatar.assemble import build_body, capture_on_body
 from gavatar.avatar.blendshapes import expression_of
 from gavatar.avatar.points import sample_surface
+from gavatar.avatar.trainable import Pose
 from gavatar.capture.opening import open_capture
 from gavatar.capture.placement import Placement
 from gavatar.config import compose_config
@@ -211,7 +212,7 @@ def test_pose_blendshapes_are_trained_exported_and_played_when_asked_for(capture
         trained(capture, models[0], tmp_path / "free", *small[:4], "body=free")
 
 
-def test_impossible_expressions_are_refused(bundle, run, tmp_path):
+def test_impossible_expressions_are_refused(bundle, run):
     avatar, pose = Avatar(bundle), np.zeros((55, 3), np.float32)
     with pytest.raises(ValueError, match=r"\(11,\), this avatar has 10"):
         avatar.gaussians(pose, None, np.ones(11))
@@ -220,10 +221,11 @@ def test_impossible_expressions_are_refused(bundle, run, tmp_path):
     motion = Motion(pose[None], np.zeros((1, 3)), 30.0, expression=np.full((1, 10), np.inf))
     with pytest.raises(UserError, match="infinite expression at frame 0"):
         avatar.fit(motion)
+    attributes, rest = run.avatar.attributes(), Pose(torch.eye(3).expand(1, 55, 3, 3), torch.zeros(1, 3))
     with pytest.raises(UserError, match="10 expression coefficients, not 11"):
-        run.avatar._expressed(torch.ones(1, 11))
-    for moved in run.avatar._expressed(torch.ones(2, 0)):
-        assert not moved.any()
+        run.avatar.pose(attributes, dataclasses.replace(rest, expression=torch.ones(1, 11)))
+    (none,) = run.avatar.pose(attributes, dataclasses.replace(rest, expression=torch.ones(1, 0)))
+    assert torch.equal(none.means, run.avatar.pose(attributes, rest)[0].means)
 
 
 def test_a_motion_file_with_coefficients_moves_face_and_fingers(bundle, models, tmp_path):

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from surfaces import BETAS, free_surface
 
-from gavatar.avatar import points as surface_module
 from gavatar.avatar.points import default_cache_dir, sample_surface
 from gavatar_plugins.bodies.free import load_free_body
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.formats.surface_file import load_surface, save_surface
+from gavatar_runtime.values.body import BodyData
 from gavatar_runtime.values.surface import Surface
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -67,7 +67,7 @@ def test_unreadable_files_are_the_user_s_error(tmp_path):
 
 def test_the_second_call_reads_the_cache(tmp_path, monkeypatch):
     first = sample_surface(load_free_body(), BETAS, 64, cache_dir=tmp_path)
-    monkeypatch.setattr(surface_module, "_sample", lambda *_: pytest.fail("computed again"))
+    monkeypatch.setattr(BodyData, "posed", lambda *_: pytest.fail("computed again"))
     assert same(sample_surface(load_free_body(), BETAS, 64, cache_dir=tmp_path), first)
 
 

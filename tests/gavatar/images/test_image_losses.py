@@ -226,10 +226,10 @@ def test_missing_lpips_weights_are_said_in_one_sentence(tmp_path, monkeypatch, l
     ("size", "window"), [((40, 33), (11, 11)), ((11, 11), (11, 11)), ((1, 30), (1, 11)), ((3, 2), (3, 1))]
 )
 def test_the_fast_ssim_filter_is_the_convolution(dtype, size, window):
-    from gavatar.images.image_quality import _filter_convolved, _filter_stacked
+    from gavatar.images.image_quality import filter_convolved, filter_stacked
 
     x = torch.rand(2, 3, *size, dtype=dtype, generator=torch.Generator().manual_seed(0))
-    fast, plain = _filter_stacked(x, *window), _filter_convolved(x, *window)
+    fast, plain = filter_stacked(x, *window), filter_convolved(x, *window)
     assert fast.shape == plain.shape
     # sums of 121 products in another order
     assert torch.allclose(fast, plain, rtol=0, atol=20 * torch.finfo(dtype).eps)

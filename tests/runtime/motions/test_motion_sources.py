@@ -51,7 +51,7 @@ def test_a_new_format_is_one_decorated_class(tmp_path):
         (tmp_path / "a.still").write_text("")
         assert len(read_motion(tmp_path / "a.still")) == 1
     finally:
-        del MOTIONS._components["still"]
+        MOTIONS.forget("still")
 
 
 def test_plugins_are_asked_for_an_unknown_name_only_and_a_broken_one_is_named(monkeypatch):
@@ -89,4 +89,4 @@ def test_plugins_are_asked_for_an_unknown_name_only_and_a_broken_one_is_named(mo
         assert asked == ["gavatar.plugins"]
     finally:
         plugins.load_entry_points.cache_clear()
-        MOTIONS._components.pop("nod", None)
+        MOTIONS.forget("nod")
