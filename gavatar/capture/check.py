@@ -7,8 +7,9 @@ from pathlib import Path
 
 from gavatar_runtime.errors import Faults, UserError
 
-from ..registry import CAPTURES, resolve, split_node
+from ..registry import BODIES, CAPTURES, resolve, split_node
 from .capture import Capture, View
+from .meeting import apart
 
 
 @dataclasses.dataclass
@@ -40,8 +41,9 @@ def check_capture(path: Path, node: dict | None = None) -> CaptureCheck:
     """Open a capture and read every image and mask that its splits name.
 
     Found are: files that are missing or damaged, fields that are missing, misshaped or not finite, with the frames
-    where they are, frames without pose, images and masks of another size than their camera, masks without a person. Of
-    more than 20 faults of one kind the rest are counted. Raises UserError only when the folder is of no known layout.
+    where they are, frames without pose, images and masks of another size than their camera, masks without a person, a
+    body that stands clearly elsewhere than the masks' person. Of more than 20 faults of one kind the rest are counted.
+    Raises UserError only when the folder is of no known layout.
     """
     path = Path(path)
     name, options = split_node(resolve(CAPTURES, node or {"name": CAPTURES.default}, path))
@@ -49,6 +51,9 @@ def check_capture(path: Path, node: dict | None = None) -> CaptureCheck:
     capture = faults.of(CAPTURES.build(name, options).read, path, faults)
     if capture is not None:
         _check_images(capture, faults)
+        body = BODIES.build(BODIES.having(shipped=True)[0]).data
+        sentence = apart(capture.placed(body), body, capture.views("train"))
+        faults.add(*[sentence] if sentence else [])
     return CaptureCheck(name, faults.sentences, capture)
 
 

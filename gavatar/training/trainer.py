@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from gavatar_runtime.cpus import usable_cpus
+from gavatar_runtime.notes import Note
 from gavatar_runtime.progress import shown
 
 from ..assemble import AvatarBuild, build_avatar, build_rasterizer, capture_on_body, choose_device
 from ..capture.capture import Capture, View
+from ..capture.meeting import apart
 from ..capture.opening import open_capture
 from ..config import TrainConfig
 from ..losses import LossComposer
@@ -48,6 +51,8 @@ class Trainer:
         self.losses = LossComposer(config.losses)
         built = build_avatar(config.body, config.encoder, config.decoder, config.avatar, capture, config.seed)
         self.capture = capture_on_body(capture, built.body.data)
+        if sentence := apart(self.capture, built.body.data, views):
+            warnings.warn(sentence, Note)
         built.avatar.to(device).mixed_precision = mixed(config.precision, config.decoder, device)
         self.scene = training_scene(config, built, self.capture, views)
         self.plans = stage_plans(config, dynamic=built.avatar.encoder is not None)

@@ -70,7 +70,7 @@ def test_refined_poses_may_hold_more_rows_than_the_split_and_masks_pictures_besi
     write.instantavatar(tmp_path, frames=12)
     (tmp_path / "poses").mkdir()
     poses = np.random.default_rng(0).normal(0, 0.1, (15, 72)) + np.eye(72)[0] * np.pi
-    np.savez(tmp_path / "poses/anim_nerf_train.npz", betas=np.ones((1, 10)), transl=np.full((15, 3), 2.0),
+    np.savez(tmp_path / "poses/anim_nerf_train.npz", betas=np.ones((1, 10)), transl=np.tile([0, 0.2, 4.0], (15, 1)),
              global_orient=poses[:, :3], body_pose=poses[:, 3:])  # fmt: skip
     for i in range(12):
         cv2.imwrite(str(tmp_path / f"masks/mask_{i:04d}.png"), np.zeros((48, 64), np.uint8))
