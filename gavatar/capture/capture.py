@@ -22,7 +22,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gavatar_runtime.errors import Faults, UserError, frames_named
+from gavatar_runtime.errors import Faults, UserError, cannot_read, frames_named
 from gavatar_runtime.formats.camera_file import read_cameras
 from gavatar_runtime.motions import read_motion
 from gavatar_runtime.values.body import BodyData
@@ -190,11 +190,20 @@ def _json(path: Path) -> dict:
         value = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise UserError(f"{path} is missing: a gavatar capture needs it") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise cannot_read(path, error) from None
+    except (ValueError, RecursionError) as error:  # of JSON, of its encoding, of numbers of too many digits
         raise UserError(f"{path} is not valid JSON: {error}") from None
     if not isinstance(value, dict):
         raise UserError(f"{path} must hold a JSON object")
     return value
+
+
+def _whole_number(value: float | str) -> int:
+    number = int(value)
+    if isinstance(value, float) and number != value:
+        raise ValueError(f"{value} is no whole number")
+    return number
 
 
 def _splits(
@@ -205,9 +214,9 @@ def _splits(
         views = []
         try:
             for camera, numbers in groups:
-                views += [View(str(camera), int(n)) for n in numbers]
-        except (TypeError, ValueError):
-            faults.add(f"{path}: split '{split}' must be a list of [camera, [frame, ...]]")
+                views += [View(str(camera), _whole_number(n)) for n in numbers]
+        except (TypeError, ValueError, OverflowError):
+            faults.add(f"{path}: split '{split}' must be a list of [camera, [frame, ...]], frames whole numbers")
         unknown = [view.camera for view in views if view.camera not in cameras]
         faults.add_all(
             (f"{path}: split '{split}' names camera '{camera}', which cameras.json lacks" for camera in unknown),

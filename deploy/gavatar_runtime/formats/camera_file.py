@@ -30,7 +30,7 @@ def read_cameras(path: str | os.PathLike, fault: Callable[[str], None] | None = 
         raise MissingFile(f"camera file {path} does not exist") from None
     except OSError as error:
         raise cannot_read(f"camera file {path}", error) from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # of JSON, of its encoding, of numbers of too many digits
         raise UserError(f"{path} is not valid JSON: {error}") from None
     if isinstance(values, dict) and "world_to_camera" in values:
         values = {"camera": values}
@@ -72,7 +72,7 @@ def _camera(path: Path, name: str, entry: object) -> Camera:
     values = {field: faults.of(_number, path, name, field, entry[field]) for field in FIELDS[:-1]}
     try:
         T = np.asarray(entry["world_to_camera"], np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         T = np.zeros(0)
     if T.shape != (4, 4) or not np.isfinite(T).all():
         faults.add(f"{path}: camera '{name}': world_to_camera must be one finite 4x4 matrix")
@@ -84,7 +84,7 @@ def _camera(path: Path, name: str, entry: object) -> Camera:
 def _number(path: Path, name: str, field: str, value: object) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise UserError(f"{path}: camera '{name}': {field} is of the wrong type, expected a number") from None
     least = {"width": 1, "height": 1, "fx": 1e-12, "fy": 1e-12}.get(field, -np.inf)
     if not (np.isfinite(number) and number >= least):

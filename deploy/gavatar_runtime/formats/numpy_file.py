@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import tokenize
 import zipfile
@@ -73,8 +74,14 @@ def _npy(data: bytes, source: str, lenient: bool) -> Any:
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = header(stream)
+    try:
+        shape, _, dtype = header(stream)
+    except Exception as error:  # a damaged header is parsed as Python, which has many ways to fail
+        raise ValueError(f"its header is damaged: {error}") from None
     if not dtype.hasobject:
+        stated, there = math.prod(shape) * dtype.itemsize, len(data) - stream.tell()
+        if stated > there:  # before memory is taken for them
+            raise ValueError(f"its header states {stated} bytes of values, but {there} follow")
         stream.seek(0)
         return np.lib.format.read_array(stream, allow_pickle=False)
     value = loads(data[stream.tell() :], source, lenient=lenient)
