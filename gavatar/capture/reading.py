@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +11,12 @@ import cv2
 import numpy as np
 
 from gavatar_runtime.errors import Faults, UserError, frames_named
-from gavatar_runtime.formats.numpy_file import load_npz
+from gavatar_runtime.formats.numpy_file import load_npy, load_npz
+from gavatar_runtime.notes import Note
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.motion import Motion
 
-from .capture import View, read_image
+from .capture import View, read_gray, read_image
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
 
@@ -112,10 +115,65 @@ def image_size(path: Path) -> tuple[int, int]:
     return read_image(path, cv2.IMREAD_COLOR).shape[1::-1]
 
 
-def check_motion(path: Path, motion: Motion, frames: int) -> None:
-    """UserError when a motion has fewer rows than there are images."""
-    if len(motion) < frames:
-        raise UserError(f"{path} has poses of {len(motion)} frames, but there are {frames} images")
+def paired(path: Path, motion: Motion, images: int) -> Motion:
+    """The poses of as many frames as there are images, in their order: what is too many is cut, with a note. Fewer by
+    one, or by a fiftieth of a long sequence, are noted too, the images at the end then have no pose and are to be left
+    out; of fewer still UserError."""
+    lack = images - len(motion)
+    if lack > 1 + images // 50:
+        raise UserError(f"{path} has poses of {len(motion)} frames, but there are {images} images")
+    if lack:
+        rest = f"the last {abs(lack)} {'images' if lack > 0 else 'poses'} are left out" if abs(lack) > 1 else (
+            f"the last {'image' if lack > 0 else 'pose'} is left out")  # fmt: skip
+        warnings.warn(f"{path} has poses of {len(motion)} frames, but there are {images} images: {rest}", Note)
+    return motion.taken(slice(images))
+
+
+def with_images(
+    listing: Path, splits: dict[str, list[View]], image_path: Callable[[View], Path]
+) -> dict[str, list[View]]:
+    """The splits without the views whose image is not there, which a note names: people copy a part of a data set.
+
+    listing: the file that lists the images. Raises UserError when most are missing, or all of a split for training.
+    """
+    views = dict.fromkeys(view for part in splits.values() for view in part)
+    missing = {view: image_path(view) for view in views if not image_path(view).is_file()}
+    if not missing:
+        return splits
+    left = {split: [view for view in part if view not in missing] for split, part in splits.items()}
+    if 2 * len(missing) > len(views) or not left.get("train"):
+        raise UserError(
+            f"{listing} lists {len(views)} images of which {len(missing)} are missing, the first "
+            f"{next(iter(missing.values()))}: copy the whole capture"
+        )
+    cameras = {}
+    for view in missing:
+        cameras.setdefault(view.camera, []).append(view.frame)
+    named = "; ".join(f"of camera {name} {frames_named(frames)}" for name, frames in cameras.items())
+    warnings.warn(f"{listing} lists images that are missing and are left out: {named}", Note)
+    return {split: part for split, part in left.items() if part}
+
+
+def person_masks(
+    masks: Sequence[Path], read: Callable[[Path], np.ndarray], published: str = "0"
+) -> Callable[[Path], np.ndarray]:
+    """`read`, or its inverse with a note, where the masks show by their border that they are the wrong way round: the
+    person covers most of it in most of a sample. published: the value that is not the person by the layout's rule."""
+    shares = []
+    for i in np.unique(np.linspace(0, max(0, len(masks) - 1), 7).astype(int))[: len(masks)]:
+        try:
+            alpha = read(masks[i])
+        except UserError:  # a fault of its own, told elsewhere
+            continue
+        border = np.concatenate([alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]]) if alpha.size else np.zeros(1)
+        if (alpha < 128).any():
+            shares.append((border > 127).mean())
+    if not shares or np.median(shares) <= 0.5:
+        return read
+    warnings.warn(
+        f"{masks[0].parent}: the masks' border is the person, if {published} is not: taken the other way round", Note
+    )
+    return lambda path: 255 - read(path)
 
 
 def every_tenth(frames: int, camera: str) -> dict[str, list[View]]:
@@ -127,17 +185,22 @@ def every_tenth(frames: int, camera: str) -> dict[str, list[View]]:
     }
 
 
+def image_mask(path: Path) -> np.ndarray:
+    """(H, W) uint8 alpha from an image of 0 to 255, or of 0 and 1."""
+    mask = read_gray(path)
+    return mask * np.uint8(255) if mask.max() == 1 else mask
+
+
 def npy_mask(path: Path) -> np.ndarray:
     """(H, W) uint8 alpha from an .npy of 0 and 1, of booleans, or of 0 to 255."""
     if not path.is_file():
         raise UserError(f"{path} is missing")
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise UserError(f"{path} is not a plain .npy array: {str(error).splitlines()[0]}") from None
-    if array.ndim == 3 and array.shape[2] == 1:
-        array = array[..., 0]
+    array = np.asarray(load_npy(path))
+    if array.ndim == 3 and 1 in (array.shape[0], array.shape[2]):
+        array = array[..., 0] if array.shape[2] == 1 else array[0]
     if array.ndim != 2 or array.dtype.kind not in "biuf":
-        raise UserError(f"{path} has shape {array.shape} of {array.dtype}, expected a mask (H, W)")
+        raise UserError(f"{path} is not a plain .npy mask (H, W): it has shape {array.shape} of {array.dtype}")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise UserError(f"{path} holds NaN or infinite values")
     top = 1 if array.dtype.kind == "b" or not array.size or array.max() <= 1 else 255
     return np.round(np.clip(array.astype(np.float32), 0, top) * (255 / top)).astype(np.uint8)

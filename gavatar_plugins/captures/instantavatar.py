@@ -7,9 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from gavatar.capture.capture import Capture, View, read_gray
+from gavatar.capture.capture import Capture, View
 from gavatar.capture.placement import Placement, upright
-from gavatar.capture.reading import arrays, camera, check_motion, every_tenth, images_of, matrix, npy_mask
+from gavatar.capture.reading import (
+    arrays,
+    camera,
+    every_tenth,
+    image_mask,
+    images_of,
+    matrix,
+    npy_mask,
+    paired,
+    person_masks,
+)
 from gavatar.protocols import CaptureReader
 from gavatar.registry import CAPTURES
 from gavatar_runtime.errors import Faults, UserError, frames_named
@@ -73,10 +83,10 @@ class InstantAvatarCapture(CaptureReader):
         masks = faults.of(_masks, path / "masks")
         if images and masks and len(images) != len(masks):
             faults.add(f"{path / 'masks'} holds {len(masks)} masks, but {path / 'images'} holds {len(images)} images")
-        splits = faults.of(self._splits, path, len(images)) if images else None
-        motion = faults.of(self._motion, path, splits, len(images)) if splits else None
-        if splits is None and _whole_file(path) is not None:
-            faults.of(self._whole, _whole_file(path), 0)
+        whole = faults.of(self._whole, path, len(images) if images else None)
+        frames = len(whole) if whole is not None else len(images or ())
+        splits = faults.of(self._splits, path, frames) if images else None
+        motion = faults.of(self._motion, path, splits, frames, whole) if splits else None
         faults.stop()
         placement = Placement(motion, "smpl", upright(motion.poses))
         return Capture(
@@ -93,7 +103,7 @@ class InstantAvatarCapture(CaptureReader):
             truth=None,
             image_path=lambda view: images[view.frame],
             mask_path=lambda view: masks[view.frame],
-            read_mask=lambda mask: npy_mask(mask) if mask.suffix == ".npy" else read_gray(mask),
+            read_mask=person_masks(masks, lambda mask: npy_mask(mask) if mask.suffix == ".npy" else image_mask(mask)),
             listing="images",
             placement=placement,
         )
@@ -118,15 +128,11 @@ class InstantAvatarCapture(CaptureReader):
             raise UserError(f"{path / 'images'} holds {frames} images: none is left for split '{empty[0]}' of {name}")
         return splits
 
-    def _motion(self, path: Path, splits: dict[str, list[View]], frames: int) -> Motion:
-        whole = _whole_file(path)
-        motion, faults = None, Faults(collect=True)
-        if whole is not None:
-            motion = faults.of(self._whole, whole, frames)
-        refined = faults.of(self._refined, path, splits) if self.config.refined_poses else {}
-        faults.stop()
-        if motion is None:
-            motion = _between(refined, splits, frames, path, self.config.fps)
+    def _motion(self, path: Path, splits: dict[str, list[View]], frames: int, whole: Motion | None) -> Motion:
+        refined = self._refined(path, splits) if self.config.refined_poses else {}
+        if whole is None and _whole_file(path) is not None:
+            raise UserError()  # its faults are told already
+        motion = _between(refined, splits, frames, path, self.config.fps) if whole is None else whole
         poses, trans, betas = motion.poses.copy(), motion.trans.copy(), motion.betas
         for split in reversed(SPLITS):  # of a frame in two splits the training's pose counts
             if split in refined:
@@ -134,13 +140,16 @@ class InstantAvatarCapture(CaptureReader):
                 poses[rows], trans[rows] = refined[split].poses, refined[split].trans
                 betas = refined[split].betas
         if betas is None:
-            raise UserError(f"{whole or path / 'poses'}: field 'betas' is missing")
+            raise UserError(f"{_whole_file(path) or path / 'poses'}: field 'betas' is missing")
         return dataclasses.replace(motion, poses=poses, trans=trans, betas=betas)
 
-    def _whole(self, file: Path, frames: int) -> Motion:
+    def _whole(self, path: Path, images: int | None) -> Motion | None:
+        """The poses of all frames, of those that have an image; None where they do not lie there."""
+        file = _whole_file(path)
+        if file is None:
+            return None
         motion = read_motion(file, up="y", fps=self.config.fps)
-        check_motion(file, motion, frames)
-        return motion
+        return motion if images is None else paired(file, motion, images)
 
     def _refined(self, path: Path, splits: dict[str, list[View]]) -> dict[str, Motion]:
         found, faults = {}, Faults(collect=True)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,18 +14,23 @@ import numpy as np
 
 from gavatar.capture.capture import Capture, View, read_image
 from gavatar.capture.placement import Placement, levelled
-from gavatar.capture.reading import camera, matrix, npy_mask, require
+from gavatar.capture.reading import IMAGES, camera, images_of, matrix, npy_mask, person_masks, require, with_images
 from gavatar.protocols import CaptureReader
 from gavatar.registry import CAPTURES
 from gavatar_runtime.errors import Faults, UserError
 from gavatar_runtime.formats.joblib_file import load_joblib
 from gavatar_runtime.formats.numpy_file import load_npy
 from gavatar_runtime.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
+from gavatar_runtime.notes import Note
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.motion import Motion
 
 CAM = "cam0"
-MODELS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "OPENCV": 8}  # COLMAP's, by number of parameters
+# COLMAP's models: the number of parameters, and how many of them are focal lengths
+MODELS = {
+    "SIMPLE_PINHOLE": (3, 1), "PINHOLE": (4, 2), "SIMPLE_RADIAL": (4, 1), "RADIAL": (5, 1), "OPENCV": (8, 2),
+    "FULL_OPENCV": (12, 2),
+}  # fmt: skip
 SPLITS = ("train", "val", "test")
 
 
@@ -73,6 +80,14 @@ class NeuManCapture(CaptureReader):
             T = colmap[name].T_camera_world.copy()
             T[:3, 3] /= scale[f]
             moving[View(CAM, f)] = placement.camera(dataclasses.replace(colmap[name], T_camera_world=T))
+
+        def image_path(view: View) -> Path:
+            return path / "images" / names[view.frame]
+
+        def mask_path(view: View) -> Path:
+            return _mask_path(path / "segmentations", names[view.frame])
+
+        splits = with_images(path / "sparse/images.txt", splits, image_path)
         return Capture(
             path=path,
             name=path.resolve().name,
@@ -84,9 +99,9 @@ class NeuManCapture(CaptureReader):
             splits=splits,
             motion=placement.motion(),
             truth=None,
-            image_path=lambda view: path / "images" / names[view.frame],
-            mask_path=lambda view: _mask_path(path / "segmentations", names[view.frame]),
-            read_mask=_mask,
+            image_path=image_path,
+            mask_path=mask_path,
+            read_mask=person_masks([mask_path(view) for view in splits["train"]], _mask, "255"),
             moving=moving,
             listing="sparse/images.txt",
             placement=placement,
@@ -107,21 +122,41 @@ class NeuManCapture(CaptureReader):
         faults = Faults(collect=True)
         pose = faults.of(_frames_of, file, "pose", person["pose"], 72)
         betas = faults.of(_frames_of, file, "betas", person["betas"], None)
-        rows = [int(Path(name).stem) if Path(name).stem.isdigit() else -1 for name in names]
-        if pose is not None:
-            faults.add_all(
-                (
-                    f"{file} has poses of {len(pose)} frames, but there is an image '{name}'"
-                    for name, row in zip(names, rows, strict=True)
-                    if not 0 <= row < len(pose)
-                ),
-                "images without pose",
-            )
+        rows = None
+        if pose is not None and names:
+            rows = faults.of(_rows, file, len(pose), names)
         counts = [len(np.atleast_1d(person[field])) for field in ("pose", "betas")]
         if counts[0] != counts[1]:
             faults.add(f"{file}: betas has {counts[1]} frames and pose {counts[0]}: they must agree")
         faults.stop()
         return pose[rows], betas.mean(0)
+
+
+def _rows(file: Path, poses: int, names: list[str]) -> list[int]:
+    """The row of each image's pose: the number that its name ends in, as NeuMan has it, or, with a note, its place
+    among the images where the numbers fit no rows and poses are as many as images (as frames cut out of a longer video,
+    or names without numbers, have it)."""
+    numbers = [re.search(r"(\d+)$", Path(name).stem, re.ASCII) for name in names]
+    rows = [int(number[1]) if number else -1 for number in numbers]
+    outside = [name for name, row in zip(names, rows, strict=True) if not 0 <= row < poses]
+    if not outside and len(set(rows)) == len(rows):
+        return rows
+    folder = file.parent / "images"
+    there = [p.name for p in images_of(folder)] if folder.is_dir() else []
+    for order in (names, there):
+        if len(order) == poses and set(names) <= set(order):
+            warnings.warn(
+                f"{file} has poses of {poses} frames, which the numbers in the images' names, as '{names[0]}', do not "
+                "count: paired in the order of the names", Note,
+            )  # fmt: skip
+            return [order.index(name) for name in names]
+    faults = Faults(collect=True)
+    faults.add_all(
+        (f"{file} has poses of {poses} frames, but there is an image '{name}'" for name in outside or names),
+        "images without pose",
+    )
+    faults.stop()
+    return rows
 
 
 def _frames_of(file: Path, field: str, value: Any, width: int | None) -> np.ndarray:
@@ -172,15 +207,19 @@ def _colmap(folder: Path) -> dict[str, Camera]:
     """The camera of every image, by the image's name, from COLMAP's text files."""
     faults, path = Faults(collect=True), folder / "images.txt"
     lenses = faults.of(_lenses, folder / "cameras.txt")
-    lines = faults.of(lambda: [line for line in _lines(path) if _names_image(line[1])])
+    lines = faults.of(lambda: [line for line in _lines(path, most=9) if _names_image(line[1])])
 
     def image(line: tuple[int, list[str]]) -> tuple[str, Camera]:
         number, words = line
-        values = _floats(path, number, words[1:8])
+        found = Faults(collect=True)
+        values = found.of(_floats, path, number, words[1:8])
+        if values is not None and not np.linalg.norm(values[:4]) > 0:
+            found.add(f"{path}, line {number}: the rotation's quaternion is zero")
         if lenses is not None and words[8] not in lenses:
-            raise UserError(f"{path}, line {number}: camera {words[8]} is not in cameras.txt")
-        if Path(words[9]).name != words[9]:
-            raise UserError(f"{path}, line {number}: image name '{words[9]}' is not a plain name")
+            found.add(f"{path}, line {number}: camera {words[8]} is not in cameras.txt")
+        if Path(words[9]).name != words[9] or "\0" in words[9]:
+            found.add(f"{path}, line {number}: image name '{words[9]}' is not a plain name")
+        found.stop()
         size, K = ((1, 1), np.eye(3)) if lenses is None else lenses[words[8]]
         T = np.c_[matrix_from_quaternion(values[:4]), values[4:]]
         return words[9], camera(path, K, T, size, shift=0.0, names=("cameras.txt", words[9]))
@@ -198,11 +237,23 @@ def _lenses(path: Path) -> dict[str, tuple[tuple[int, int], np.ndarray]]:
     def lens(line: tuple[int, list[str]]) -> tuple[str, tuple]:
         number, words = line
         model = words[1] if len(words) > 1 else ""
-        if model not in MODELS or len(words) < 4 + MODELS[model]:
-            raise UserError(f"{path}, line {number}: expected ID MODEL WIDTH HEIGHT PARAMETERS of {', '.join(MODELS)}")
-        values = _floats(path, number, words[2:])
-        fx, fy, cx, cy = values[2], *(values[3:6] if model in ("PINHOLE", "OPENCV") else values[[2, 3, 4]])
-        return words[0], ((int(values[0]), int(values[1])), np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]))
+        count, focal = MODELS.get(model, (0, 1))
+        if not count or len(words) < 4 + count:
+            raise UserError(
+                f"{path}, line {number}: expected ID MODEL WIDTH HEIGHT PARAMETERS of {', '.join(MODELS)}"
+                + (
+                    f"; images of {model} are to be straightened by `colmap image_undistorter` first"
+                    if words[1:]
+                    else ""
+                )
+            )
+        values = _floats(path, number, words[2 : 4 + count])
+        if not (values[:2] >= 1).all() or not (values[:2] < 1e6).all():
+            raise UserError(f"{path}, line {number}: width and height must be positive, not {words[2]} and {words[3]}")
+        fx, fy, (cx, cy) = values[2], values[1 + focal], values[2 + focal : 4 + focal]
+        size, K = (int(values[0]), int(values[1])), np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        _note_distortion(f"{path}, line {number}", model, size, K, values[4 + focal :])
+        return words[0], (size, K)
 
     faults = Faults(collect=True)
     lenses = faults.each(lens, list(_lines(path)), f"lines of {path} are faulty")
@@ -210,18 +261,37 @@ def _lenses(path: Path) -> dict[str, tuple[tuple[int, int], np.ndarray]]:
     return dict(lenses)
 
 
+def _note_distortion(where: str, model: str, size: tuple[int, int], K: np.ndarray, distortion: np.ndarray) -> None:
+    """A note where lens distortion, which is left out, moves a corner of the image by more than a pixel."""
+    coefficients = np.zeros(8)
+    coefficients[: len(distortion)] = distortion
+    corners = np.array([(x, y) for x in (0, size[0]) for y in (0, size[1])], np.float64)
+    if not np.any(distortion) or not (K[[0, 1], [0, 1]] > 0).all():
+        return
+    rays = np.c_[(corners - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones(4)]
+    moved, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, coefficients)
+    most = np.linalg.norm(moved[:, 0] - corners, axis=-1).max()
+    if most > 1:
+        warnings.warn(
+            f"{where}: the lens distortion of {model} moves the image's corners by {most:.0f} pixels and is left out, "
+            "as NeuMan does: straighten the images by `colmap image_undistorter` where that is too much", Note,
+        )  # fmt: skip
+
+
 def _names_image(words: list[str]) -> bool:
     """Whether a line of images.txt is that of an image; the others are the points of the image before."""
-    return len(words) == 10 and words[9].lower().endswith((".png", ".jpg", ".jpeg"))
+    return len(words) == 10 and words[9].lower().endswith(IMAGES)
 
 
-def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Number and words of each line that is not a comment."""
+def _lines(path: Path, most: int = -1) -> Iterator[tuple[int, list[str]]]:
+    """Number and words of each line that is not a comment. most: splits, so that the last word may hold blanks."""
     if not path.is_file():
-        raise UserError(f"{path} is missing: COLMAP's text model")
+        binary = path.with_suffix(".bin").is_file()
+        hint = f" (`colmap model_converter --output_type TXT` makes it of {path.stem}.bin)" if binary else ""
+        raise UserError(f"{path} is missing: COLMAP's text model{hint}")
     for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
         if line.strip() and not line.startswith("#"):
-            yield number, line.split()
+            yield number, line.strip().split(maxsplit=most)
 
 
 def _floats(path: Path, number: int, words: list[str]) -> np.ndarray:
@@ -265,6 +335,7 @@ def _mask_path(folder: Path, name: str) -> Path:
 
 
 def _mask(path: Path) -> np.ndarray:
-    """(H, W) uint8 alpha: the file is 255 where the person is not."""
+    """(H, W) uint8 alpha: the file is 255, or 1 where nothing is more, where the person is not."""
     labels = npy_mask(path) if path.suffix == ".npy" else read_image(path, cv2.IMREAD_GRAYSCALE)
-    return np.where(labels == 255, 0, 255).astype(np.uint8)
+    not_person = 1 if labels.size and labels.max() == 1 else 255
+    return np.where(labels == not_person, 0, 255).astype(np.uint8)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gavatar.capture.capture import Capture, View
 from gavatar.capture.placement import Placement, upright
-from gavatar.capture.reading import IMAGES, arrays, camera, check_motion, image_size, images_of
+from gavatar.capture.reading import IMAGES, arrays, camera, image_mask, image_size, images_of, paired, person_masks
 from gavatar.protocols import CaptureReader
 from gavatar.registry import CAPTURES
 from gavatar_runtime.errors import Faults, UserError
@@ -75,6 +75,7 @@ class UpstreamCapture(CaptureReader):
             truth=None,
             image_path=lambda view: images[view.frame],
             mask_path=lambda view: masks[view.frame],
+            read_mask=person_masks(masks, image_mask),
             moving=moving,
             listing="images",
             placement=placement,
@@ -84,7 +85,8 @@ class UpstreamCapture(CaptureReader):
         images = faults.of(images_of, folder / "images")
         motion = faults.of(read_motion, folder / self.config.parameters, up="y", fps=self.config.fps)
         if images is not None and motion is not None:
-            faults.of(check_motion, folder / self.config.parameters, motion, len(images))
+            motion = faults.of(paired, folder / self.config.parameters, motion, len(images))
+            images = images[: len(motion)] if motion is not None else images
         cameras = faults.of(_cameras, folder, images) if images else None
         masks = faults.of(_masks, folder, images) if images else None
         if motion is not None and motion.betas is None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Sized
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import cv2
@@ -12,16 +13,18 @@ import numpy as np
 
 from gavatar.capture.capture import Capture, View, read_image
 from gavatar.capture.placement import Placement, upright
-from gavatar.capture.reading import camera, image_size, matrix, pose_field, require
+from gavatar.capture.reading import camera, image_size, matrix, person_masks, pose_field, require, with_images
 from gavatar.protocols import CaptureReader
 from gavatar.registry import CAPTURES
 from gavatar_runtime.errors import Faults, UserError
 from gavatar_runtime.formats.numpy_file import load_npy
 from gavatar_runtime.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from gavatar_runtime.notes import Note
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.motion import Motion
 
 TRAINING_CAMERAS = (0, 6, 12, 18)
+NEAREST = 50.0  # millimetres, of the farthest camera from the origin
 # Neural Body's configs/zju_mocap_exp: first training frame and their number; 300 from the first elsewhere
 PUBLISHED = {"CoreView_313": (0, 60), "CoreView_315": (0, 400), "CoreView_390": (700, 300)}
 
@@ -44,10 +47,11 @@ class ZjuOptions:
 
 @CAPTURES.register("zju", config=ZjuOptions, summary="ZJU-MoCap: annots.npy, several cameras, params/, mask_cihp/")
 class ZjuCapture(CaptureReader):
-    """annots.npy: cams K (3x3), D (5, OpenCV), R (3x3), T (3, millimetres; world to camera) and ims, a list of
-    {ims: [path, ...]} with a path for each camera; pixel positions count from pixel centres. mask_cihp/PATH.png or
-    mask/PATH.png: not zero on the person. params/FRAME.npy: poses (72), shapes (10), Rh and Th (3), the model posed and
-    then turned by Rh about its origin and moved by Th."""
+    """annots.npy: cams K (3x3), D (5, OpenCV), R (3x3), T (3, millimetres, or metres where no camera would be 5 cm from
+    the origin; world to camera) and ims, a list of {ims: [path, ...]} with a path for each camera, slashes of either
+    kind; pixel positions count from pixel centres. mask_cihp/PATH.png or mask/PATH.png: not zero on the person.
+    params/FRAME.npy: poses (72), shapes (10), Rh and Th (3), the model posed and then turned by Rh about its origin and
+    moved by Th."""
 
     signs = "annots.npy"
 
@@ -64,15 +68,16 @@ class ZjuCapture(CaptureReader):
         path, faults = Path(path), faults or Faults()
         annots = path / "annots.npy"
         content = faults.of(_annots, annots)
-        faults.stop()
-        frames = faults.of(_frames, annots, content, len(content["cams"]["K"]))
-        size = faults.of(image_size, path / frames[0][0]) if frames else None
-        cameras = faults.of(_cameras, annots, content["cams"], size or (1, 1))
+        frames = faults.of(_frames, annots, content, len(content["cams"]["K"])) if content else None
+        sizes = faults.of(_sizes, path, frames) if frames else None
+        cameras = faults.of(_cameras, annots, content["cams"], sizes) if content else None
         chosen = faults.of(self._chosen, path, frames) if frames else None
         placed = faults.of(self._motion, path, frames, chosen) if chosen else None
+        if chosen is None:  # it will not be opened, but what is wrong with the parameters is told too
+            faults.of(self._loose_parameters, path)
         faults.stop()
         placement, rows = placed
-        splits = self._splits(annots, chosen, len(content["cams"]["K"]), rows)
+        splits = self._splits(annots, chosen, len(cameras), rows)
 
         def image_path(view: View) -> Path:
             return path / frames[chosen[2][view.frame]][int(view.camera)]
@@ -84,6 +89,7 @@ class ZjuCapture(CaptureReader):
                 path / "mask_cihp" / relative,
             )
 
+        splits = with_images(annots, splits, image_path)
         return Capture(
             path=path,
             name=path.resolve().name,
@@ -97,7 +103,7 @@ class ZjuCapture(CaptureReader):
             truth=None,
             image_path=image_path,
             mask_path=mask_path,
-            read_mask=_mask,
+            read_mask=person_masks([mask_path(view) for view in splits["train"]], _mask),
             lenses={str(i): _lens(annots, content["cams"], i) for i in range(len(cameras))},
             listing="annots.npy",
             placement=placement,
@@ -124,7 +130,7 @@ class ZjuCapture(CaptureReader):
         images, faults = [frames[f][0] for f in chosen[2]], Faults(collect=True)
         numbers = faults.each(lambda image: _number(image, path.resolve().name), images, "images without number")
         faults.stop()
-        files = [folder / f"{number}.npy" for number in numbers]
+        files = _parameter_files(folder, numbers, chosen[2], len(frames))
         # parameters may end before the frames for novel poses do; those of training frames are owed
         there = next((i for i, file in enumerate(files) if i >= chosen[0] and not file.is_file()), len(files))
 
@@ -139,6 +145,12 @@ class ZjuCapture(CaptureReader):
         poses[:, 0] = axis_angle_from_matrix(pivots @ matrix_from_axis_angle(poses[:, 0]))
         motion = Motion(poses, Th, self.config.fps, shapes.mean(0).astype(np.float32), path.resolve().name)
         return Placement(motion, "smpl", upright(poses), pivots), there
+
+    def _loose_parameters(self, path: Path) -> None:
+        """UserError for what is wrong with the parameters' files, whatever frames they are of."""
+        folder, faults = self._params(path), Faults(collect=True)
+        faults.each(lambda file: _parameters(file, ""), sorted(folder.glob("*.npy")), f"files of {folder} are faulty")
+        faults.stop()
 
     def _params(self, path: Path) -> Path:
         names = (self.config.params,) if self.config.params else ("new_params", "params")
@@ -191,15 +203,19 @@ def _annots(path: Path) -> dict:
 def _frames(path: Path, content: dict, cameras: int) -> list[list[str]]:
     """Image paths by frame and camera."""
     entries = content.get("ims")
-    if entries is None or not len(entries):
-        raise UserError(f"{path}: field 'ims' is missing or empty")
+    if not isinstance(entries, list | tuple | np.ndarray) or not len(entries):
+        raise UserError(
+            f"{path}: field 'ims' is missing or empty: take the data set's own annots.npy, which lists the images (the "
+            "refined release's annots_new.npy holds cameras alone)"
+        )
 
     def frame(i: int) -> list[str]:
         names = entries[i].get("ims") if isinstance(entries[i], dict) else None
-        if names is None or len(names) != cameras:
+        if not isinstance(names, list | tuple | np.ndarray) or len(names) != cameras:
             raise UserError(f"{path}: ims: frame {i} must list {cameras} images, one a camera")
-        names = [str(name) for name in names]
-        outside = [name for name in names if Path(name).is_absolute() or ".." in Path(name).parts]
+        # as Windows writes paths
+        names = [str(name).replace("\\", "/") for name in names]
+        outside = [n for n in names if PureWindowsPath(n).anchor or ".." in Path(n).parts or "\0" in n]
         if outside:
             raise UserError(
                 *(f"{path}: ims: frame {i} names '{name}', which lies outside of the capture" for name in outside)
@@ -212,7 +228,35 @@ def _frames(path: Path, content: dict, cameras: int) -> list[list[str]]:
     return frames
 
 
-def _cameras(path: Path, cams: dict[str, Any], size: tuple[int, int]) -> dict[str, Camera]:
+def _sizes(path: Path, frames: list[list[str]]) -> list[tuple[int, int]]:
+    """Width and height of each camera's first image; of a camera without any, which is left out, some other's."""
+    first = [next((p for frame in frames if (p := path / frame[c]).is_file()), None) for c in range(len(frames[0]))]
+    faults = Faults(collect=True)
+    some = [image for image in first if image is not None] or [path / frames[0][0]]
+    sizes = faults.each(image_size, some, f"images of {path} are faulty")
+    faults.stop()
+    known = dict(zip(some, sizes, strict=True))
+    return [known.get(image, sizes[0]) for image in first]
+
+
+def _metres(path: Path, cams: dict[str, Any]) -> float:
+    """What the cameras' translations are multiplied by: ZJU-MoCap's are millimetres, but people write metres too, which
+    no camera is near enough to the origin of its world to be taken for."""
+    largest = 0.0
+    for T in cams["T"]:
+        values = np.asarray(T)
+        if values.dtype.kind in "fiu" and np.isfinite(values).all():
+            largest = max(largest, float(np.linalg.norm(values.astype(np.float64))))
+    if not 0 < largest < NEAREST:
+        return 1e-3
+    warnings.warn(f"{path}: cams: T is at most {largest:.3g}: taken as metres, where this layout has millimetres", Note)
+    return 1.0
+
+
+def _cameras(path: Path, cams: dict[str, Any], sizes: list[tuple[int, int]] | None) -> dict[str, Camera]:
+    """sizes: width and height by camera; None where they are not known and something else is at fault."""
+    metres = _metres(path, cams)
+
     def one(i: int) -> Camera:
         faults = Faults(collect=True)
         K, R, T = (f"cams: {field} of camera {i}" for field in "KRT")
@@ -220,7 +264,8 @@ def _cameras(path: Path, cams: dict[str, Any], size: tuple[int, int]) -> dict[st
         offset = faults.of(matrix, path, T, np.reshape(cams["T"][i], -1), (3,))
         whole = np.eye(4)
         if rotation is not None and offset is not None:
-            whole[:3] = np.c_[rotation, offset / 1000]
+            whole[:3] = np.c_[rotation, offset * metres]
+        size = sizes[i] if sizes else (1, 1)
         made = faults.of(camera, path, cams["K"][i], whole, size, shift=0.5, names=(K, R))
         faults.of(_lens, path, cams, i)
         faults.stop()
@@ -244,6 +289,20 @@ def _number(image: str, sequence: str) -> int:
         return int(part)
     except ValueError:
         raise UserError(f"annots.npy names image '{image}', whose name is no frame number") from None
+
+
+def _parameter_files(folder: Path, numbers: list[int], places: list[int], listed: int) -> list[Path]:
+    """The file of each frame by its number, with zeros in front or without; by its place among those listed, with a
+    note, where the files are numbered otherwise and are as many as the frames."""
+    found = {int(p.stem): p for p in sorted(folder.glob("*.npy")) if p.stem.isascii() and p.stem.isdigit()}
+    if len(found) == listed and not found.keys() >= set(numbers):
+        warnings.warn(
+            f"{folder} numbers its {listed} files from {min(found)} on, the images of annots.npy start at "
+            f"{min(numbers)}: paired in their order", Note,
+        )  # fmt: skip
+        ordered = [found[number] for number in sorted(found)]
+        return [ordered[place] for place in places]
+    return [found.get(number, folder / f"{number}.npy") for number in numbers]
 
 
 def _parameters(path: Path, reason: str) -> tuple[np.ndarray, ...]:
