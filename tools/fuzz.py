@@ -8,7 +8,7 @@ one sentence to the user.
     python tools/fuzz.py bundle AVATAR.gavatar --one 123                  a seed again, with its traceback
 
 Told are the counts: `fine`, `refused` (by one sentence), and what must not be: `bad` (any other exception, a result
-that is not finite, a sentence of several lines, anything printed on stderr), `late` (a bundle that opens, and is
+that is not finite, a sentence of several lines, anything printed), `late` (a bundle that opens, and is
 refused when it plays), `crash` (the process died), `slow` (above 8 s; a case is ended after 20 s). Exits 1 if there is
 any of these. Cases run in forked processes that may take 12 GB of addresses; damage depends on the seed alone
 (`fuzz_damage`).
@@ -166,9 +166,9 @@ class Outcome:
     place: str = ""
 
 
-def outcome(case: Case, material: Material, seed: int, folder: Path, stderr: int) -> Outcome:
-    """One case in this process. stderr: a file that the process's own is redirected to."""
-    printed = os.fstat(stderr).st_size
+def outcome(case: Case, material: Material, seed: int, folder: Path, printed: int) -> Outcome:
+    """One case in this process. printed: a file that its stdout and stderr are redirected to."""
+    before = os.fstat(printed).st_size
     try:
         found = Outcome(seed, "fine", case(material, Random(seed), folder))
     except Late as error:
@@ -178,9 +178,10 @@ def outcome(case: Case, material: Material, seed: int, folder: Path, stderr: int
     except BaseException as error:
         last = traceback.extract_tb(error.__traceback__)[-1]
         found = Outcome(seed, "bad", f"{type(error).__name__}: {error}", f"{Path(last.filename).name}:{last.lineno}")
-    if os.fstat(stderr).st_size > printed and found.kind != "bad":
-        said = os.pread(stderr, 300, printed).decode(errors="replace")
-        return Outcome(seed, "bad", f"printed: {said}", "stderr")
+    sys.stdout.flush()
+    if os.fstat(printed).st_size > before and found.kind != "bad":
+        said = os.pread(printed, 300, before).decode(errors="replace")
+        return Outcome(seed, "bad", f"{found.kind}, and printed: {said}", "printed")
     return found
 
 
@@ -188,8 +189,9 @@ def batch(case: Case, material: Material, seeds: range, folder: Path, log: Path)
     """Cases one after another in this process, a JSON line each as soon as it is known."""
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
     warnings.simplefilter("ignore")
-    stderr = os.open(folder / "stderr", os.O_RDWR | os.O_CREAT | os.O_TRUNC)
-    os.dup2(stderr, 2)
+    printed = os.open(folder / "printed", os.O_RDWR | os.O_CREAT | os.O_TRUNC)
+    for stream in (1, 2):
+        os.dup2(printed, stream)
 
     def too_long(*_: object) -> None:
         raise TimeoutError(f"not done after {SECONDS} s")
@@ -200,7 +202,7 @@ def batch(case: Case, material: Material, seeds: range, folder: Path, log: Path)
             file.write(json.dumps({"seed": seed, "kind": "crash"}) + "\n")  # unless another line follows
             start = time.monotonic()
             signal.alarm(SECONDS)
-            found = outcome(case, material, seed, folder, stderr)
+            found = outcome(case, material, seed, folder, printed)
             signal.alarm(0)
             taken = time.monotonic() - start
             if taken > SLOW and found.kind in ("fine", "refused"):

@@ -30,9 +30,11 @@ from typing import Any
 import numpy as np
 
 from .errors import MissingFile, UserError, cannot_read
+from .formats.array_rules import Rule, checked
+from .formats.bounded import arrays_of_npz, read_zipped
 from .formats.files import atomic
 from .values.body import Hands
-from .values.surface import Surface
+from .values.surface import SURFACE_RULES, Surface
 from .version import __version__
 
 FORMAT = "gavatar"
@@ -145,11 +147,14 @@ class Bundle:
 
     def arrays(self, member: str) -> dict[str, np.ndarray]:
         """The arrays of an .npz member by name, pickles refused."""
+        data = self.read(member)
         try:
-            with np.load(io.BytesIO(self.read(member)), allow_pickle=False) as file:
-                return dict(file)
-        except (ValueError, OSError, EOFError, zipfile.BadZipFile, TypeError, AttributeError) as error:
-            raise UserError(f"{self.path}: {member} is not a readable .npz; export the avatar again") from error
+            return arrays_of_npz(data)
+        except Exception as error:  # of bytes that mean anything, `zipfile` and NumPy raise of every kind
+            cause = next(iter(str(error).splitlines()), type(error).__name__)
+            raise UserError(
+                f"{self.path}: {member} is not a readable .npz ({cause}); export the avatar again"
+            ) from error
 
     def surfaces(self) -> tuple[Surface, Surface | None]:
         """Where the Gaussians sit, and the surface of the encoder's positional map (None for a static avatar).
@@ -179,7 +184,7 @@ def read_bundle(path: str | os.PathLike, *, verify: bool = False) -> Bundle:
         raise MissingFile(f"avatar {path} does not exist")
     try:
         values = json.loads(_read_member(path, MANIFEST).decode("utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: {MANIFEST} is not JSON; export the avatar again") from error
     manifest = Manifest.from_json(values, str(path))
     present = _member_names(path)
@@ -276,24 +281,23 @@ def _pack_surface(surface: Surface, prefix: str) -> dict[str, np.ndarray]:
     return {prefix + name: array for name, array in arrays.items()}
 
 
+_STORED_RULES = {name: rule for name, rule in SURFACE_RULES.items() if name in _PACKED}
+_STORED_RULES["normals"] = Rule(("N", 3), low=-2, high=2, optional=True)
+
+
 def _unpack_surface(arrays: Mapping[str, np.ndarray], prefix: str, source: str) -> Surface:
-    known = {name: arrays[prefix + name] for name in _PACKED if prefix + name in arrays}
-    missing = [prefix + name for name in _PACKED if name not in known]
-    if missing:
-        raise UserError(f"{source} lacks the array '{missing[0]}'; export the avatar again")
-    count, side = known["texel"].size, max(int(known["resolution"].reshape(-1)[0]), 1)
-    texel = known["texel"].reshape(-1)
+    known = checked(arrays, _STORED_RULES, source, prefix=prefix)
+    texel, side = known["texel"], int(known["resolution"])
+    count = len(texel)
     nan = np.full((count, 3), np.nan, np.float32)
-    known |= {
-        "joint_index": known["joint_index"].astype(np.int32),
+    left_out = {
         "uv": ((np.stack([texel % side, texel // side], -1) + 0.5) / side).astype(np.float32),
         "face": np.full(count, -1, np.int32),
         "barycentric": nan,
-        "normals": np.asarray(arrays.get(prefix + "normals", nan), np.float32),
+        "normals": nan,
         "spacing": nan[:, 0],
-        "weight_truncation": np.zeros(()),
     }
-    return Surface.from_arrays(known, source)
+    return Surface(**{**left_out, **known, "resolution": side})
 
 
 def _write_member(file: zipfile.ZipFile, name: str, data: bytes) -> None:
@@ -319,12 +323,12 @@ def _read_member(path: Path, member: str) -> bytes:
         if path.is_dir():
             return (path / member).read_bytes()
         with _open_zip(path) as file:
-            return file.read(member)
+            return read_zipped(file, member)
     except (KeyError, FileNotFoundError):
         if member == MANIFEST:
             raise UserError(f"{path} is not a gavatar bundle: it has no {MANIFEST}") from None
         raise UserError(f"{path}: member {member} is missing; export or download the avatar again") from None
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, MemoryError, RuntimeError) as error:
         raise UserError(f"{path}: {member} cannot be read ({error}); export or download the avatar again") from error
 
 

@@ -240,9 +240,9 @@ def test_a_member_name_that_leaves_the_bundle_is_never_followed(bundle, name):
     ("change", "message"),
     [
         ({"gaussians_points": None}, "lacks the array 'gaussians_points'"),
-        ({"gaussians_points": np.zeros((3, 3), np.float32)}, "'points' has shape"),
-        ({"gaussians_joint_index": np.full((300, 4), 99, np.uint8)}, "'joint_index' points outside 0 to 51"),
-        ({"gaussians_texel": np.full(300, -1, np.int32)}, "'texel' points outside"),
+        ({"gaussians_points": np.zeros((3, 3), np.float32)}, "'gaussians_points' has shape"),
+        ({"gaussians_joint_index": np.full((300, 4), 99, np.uint8)}, "'gaussians_joint_index' points outside 0 to 51"),
+        ({"gaussians_texel": np.full(300, -1, np.int32)}, "'gaussians_texel' points outside"),
     ],
 )
 def test_a_surface_that_does_not_hold_together(tmp_path, change, message):

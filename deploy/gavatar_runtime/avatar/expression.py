@@ -9,10 +9,16 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..bundle import Bundle
-from ..errors import UserError, WrongValue
+from ..errors import WrongValue
+from ..formats.array_rules import FAR, Rule, ascending, checked
 
 MEMBER = "expression.npz"
 NEGLIGIBLE = 1e-6  # metres a unit coefficient: points that no direction moves by more are left out
+RULES = {  # of N points and J joints, M of the points move
+    "rows": Rule(("M",), np.int32, below="N", empty=True, tests=(ascending,)),
+    "directions": Rule(("M", 3, "E"), low=-FAR, high=FAR, empty=True),
+    "joints": Rule(("J", 3, "E"), low=-FAR, high=FAR),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,17 +78,7 @@ class Expression:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray], points: int, joints: int, source: str) -> Expression:
         """What `to_arrays` took apart; UserError naming `source` for what does not fit `points` and `joints`."""
-        missing = [name for name in ("rows", "directions", "joints") if name not in arrays]
-        if missing:
-            raise UserError(f"{source} lacks the array '{missing[0]}'; export the avatar again")
-        rows, directions, moved = (np.asarray(arrays[name]) for name in ("rows", "directions", "joints"))
-        count = directions.shape[-1] if directions.ndim == 3 else 0
-        fits = directions.shape == (len(rows), 3, count) and moved.shape == (joints, 3, count)
-        if not fits or rows.ndim != 1 or (len(rows) and not 0 <= rows.min() <= rows.max() < points):
-            raise UserError(f"{source}: its arrays do not fit {points} points and {joints} joints; export it again")
-        if not (np.isfinite(directions).all() and np.isfinite(moved).all()):
-            raise UserError(f"{source} holds NaN or infinite values; export the avatar again")
-        return cls(rows.astype(np.int32), directions.astype(np.float32), moved.astype(np.float32))
+        return cls(**checked(arrays, RULES, source, sizes={"N": points, "J": joints}))
 
 
 def read_expression(bundle: Bundle, points: int, joints: int) -> Expression | None:

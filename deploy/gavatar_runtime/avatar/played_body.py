@@ -7,12 +7,22 @@ import dataclasses
 import numpy as np
 
 from ..bundle import Bundle
-from ..errors import UserError, WrongValue
+from ..errors import WrongValue
+from ..formats.array_rules import FAR, Rule, a_tree, all_different, checked
 from ..motions.fitting import fit_motion, scaled_to_legs
 from ..values.body import Hands
 from ..values.motion import Motion
 
 MEMBER = "body.npz"
+RULES = {  # of J joints, B coefficients of the shape and K of a hand
+    "joint_names": Rule(("J",), np.str_, tests=(all_different,)),
+    "parents": Rule(("J",), np.int32, low=-1, optional=True, tests=(a_tree,)),
+    "joints": Rule(("J", 3), np.float64, low=-FAR, high=FAR, optional=True),
+    "betas": Rule(("B",), np.float64, optional=True, empty=True),
+    "rest_pose": Rule(("J", 3), np.floating, optional=True),
+    "hands_mean": Rule((2, 15, 3), np.float64, optional=True, beside=("hands_components",)),
+    "hands_components": Rule((2, "K", 45), np.float64, optional=True, beside=("hands_mean",)),
+}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -48,25 +58,7 @@ class PlayedBody:
 
 def read_body(bundle: Bundle, joints: np.ndarray, num_expression: int) -> PlayedBody:
     """joints: (J, 3) of the bundle's surface. UserError for a body.npz that does not fit them."""
-    arrays = bundle.arrays(MEMBER)
-    names, rest = tuple(str(name) for name in arrays.get("joint_names", ())), arrays.get("rest_pose")
-    if len(names) != len(joints):
-        raise UserError(
-            f"{bundle.path}: {MEMBER} names {len(names)} joints and surface.npz has {len(joints)}; export the avatar "
-            "again"
-        )
-    if rest is not None and (rest.shape != (len(names), 3) or not np.isfinite(rest).all()):
-        raise UserError(f"{bundle.path}: rest_pose in {MEMBER} is not (J, 3) numbers; export the avatar again")
-    return PlayedBody(names, joints, rest, _read_hands(bundle, arrays), num_expression)
-
-
-def _read_hands(bundle: Bundle, arrays: dict[str, np.ndarray]) -> Hands | None:
-    if "hands_components" not in arrays:
-        return None
-    mean, components = np.asarray(arrays.get("hands_mean")), arrays["hands_components"]
-    if mean.shape != (2, 15, 3) or components.ndim != 3 or components.shape[::2] != (2, 45):
-        raise UserError(
-            f"{bundle.path}: {MEMBER}: hands_mean and hands_components are not (2, 15, 3) and (2, K, 45) numbers; "
-            "export the avatar again"
-        )
-    return Hands(mean.astype(np.float64), components.astype(np.float64))
+    arrays = checked(bundle.arrays(MEMBER), RULES, f"{bundle.path}: {MEMBER}", sizes={"J": len(joints)})
+    names = tuple(str(name) for name in arrays["joint_names"])
+    hands = Hands(arrays["hands_mean"], arrays["hands_components"]) if "hands_components" in arrays else None
+    return PlayedBody(names, joints, arrays.get("rest_pose"), hands, num_expression)

@@ -71,7 +71,9 @@ class Avatar(PlayedAvatar):
         self._decode: Sparing | None = None
         if self.tier is not None:
             parts = Parts(self.bundle, stored, map_surface, threads, chosen, added)
-            self._decode = Sparing(build_tier(self.tier, parts), reuse, len(self.surface))
+            built = build_tier(self.tier, parts)
+            rest = np.zeros_like(self.joints, np.float32)
+            self._decode = Sparing(built, reuse, len(self.surface)).tried(rest, len(self.surface))
         self.seen_only = bool(seen_only and self._decode is not None and self._decode.picks)
         self._means = InTurn(lambda: np.empty((len(self.surface), 3), np.float32))
         self._normals = InTurn(lambda: np.empty((len(self.surface), 3), np.float32))

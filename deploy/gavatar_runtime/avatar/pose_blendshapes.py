@@ -10,12 +10,18 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..bundle import Bundle
-from ..errors import UserError
+from ..formats.array_rules import FAR, Rule, checked, sums_to_one
 from ..geometry.rotations import matrix_from_axis_angle
 from ..values.surface import Surface
 
 MEMBER = "pose_blendshapes.npz"
 STILL = 1e-6  # entries of a joint's rotation that differ by less from the canonical pose's move nothing
+RULES = {  # of N points between V vertices, and T joints that turn: all but the root
+    "directions": Rule(("T", 9, "V", 3), low=-FAR, high=FAR),
+    "canonical": Rule(("T", 9), np.float64, low=-2, high=2),
+    "corner": Rule(("N", 3), np.int32, below="V"),
+    "corner_weight": Rule(("N", 3), tests=(sums_to_one(1e-2),)),  # float16: three roundings by 2.4e-4 at most
+}
 
 
 def canonical_rotations(surface: Surface, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
@@ -98,23 +104,9 @@ class PoseBlendshapes:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray], points: int, joints: int, source: str) -> PoseBlendshapes:
         """What `to_arrays` took apart; UserError naming `source` for what does not fit `points` and `joints`."""
-        names = ("directions", "canonical", "corner", "corner_weight")
-        missing = [name for name in names if name not in arrays]
-        if missing:
-            raise UserError(f"{source} lacks the array '{missing[0]}'; export the avatar again")
-        directions, canonical, corner, weight = (np.asarray(arrays[name]) for name in names)
-        vertices = directions.shape[2] if directions.ndim == 4 else 0
-        fits = directions.shape == (joints - 1, 9, vertices, 3) and canonical.shape == (joints - 1, 9)
-        fits &= corner.shape == weight.shape == (points, 3) and corner.dtype.kind in "iu"
-        if not fits or (points and not 0 <= int(corner.min()) <= int(corner.max()) < vertices):
-            raise UserError(f"{source}: its arrays do not fit {points} points and {joints} joints; export it again")
-        if not all(np.isfinite(a).all() for a in (directions, canonical, weight)):
-            raise UserError(f"{source} holds NaN or infinite values; export the avatar again")
-        weight = weight.astype(np.float32)
-        return cls(
-            directions.astype(np.float32), canonical.astype(np.float64), corner.astype(np.int32),
-            weight / weight.sum(1, keepdims=True),
-        )  # fmt: skip
+        known = checked(arrays, RULES, source, sizes={"N": points, "T": joints - 1})
+        weight = known["corner_weight"]
+        return cls(**known | {"corner_weight": weight / weight.sum(1, keepdims=True)})
 
 
 def read_pose_blendshapes(bundle: Bundle, points: int, joints: int) -> PoseBlendshapes | None:

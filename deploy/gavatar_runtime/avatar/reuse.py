@@ -7,9 +7,13 @@ from typing import Protocol, cast
 
 import numpy as np
 
+from ..decoding.network import CHUNK
 from ..decoding.residuals import Attributes, empty
+from ..geometry.spacing import evenly_spaced
 from ..tiers import PickingTier, Tier
 from .buffers import InTurn
+
+TRIED = CHUNK + 64  # Gaussians decoded when an avatar is opened: more than a graph takes at once
 
 
 class Decoder(Protocol):
@@ -49,6 +53,17 @@ class Sparing:
             attributes, source = cast(PickingTier, self._tier)(pose, rows), self._tier
         self.stage_seconds = dict(source.stage_seconds)
         return attributes
+
+    def tried(self, pose: np.ndarray, count: int) -> Sparing:
+        """Itself, after it decoded a pose, so that what cannot be decoded is refused when the avatar is opened: of what
+        does not move all, which is kept; else `TRIED` of the `count` Gaussians where the tier can pick."""
+        if not self._tier.moves:
+            self._decoder(pose)
+        elif self._tier.picks:
+            cast(PickingTier, self._tier)(pose, evenly_spaced(count, TRIED).astype(np.int32))
+        else:
+            self._tier(pose)
+        return self
 
 
 def _spared(tier: Tier, reuse: int, count: int) -> Decoder:

@@ -11,8 +11,10 @@ import numpy as np
 from ..bundle import Bundle
 from ..cpus import usable_cpus
 from ..errors import UserError
+from ..formats.array_rules import ADVICE
 
 CHUNK = 2048  # rows that a decoder's graph takes at once: the widest activations (2 MB) stay in a core's caches
+LONGEST_CAUSE = 300  # characters of a message of ONNX Runtime, which may list all of a graph
 ROWS = "rows"  # an optional input: which rows are wanted, int32 (`gavatar.export.onnx_graphs.decoder_model`)
 
 
@@ -23,8 +25,8 @@ class Network:
     by_rows: it will be called with `rows`; where the member has that optional input (`picks`), each thread decodes a
     share of the rows by itself. (The products of a chunk are too small to be shared: two threads that wait for each
     other at every one of them took 1.2 times as long in float32 and 1.45 times in int8.)
-    threads: None for as many as `cpus.usable_cpus`. Raises UserError for a member that is missing, damaged, or that
-    ONNX Runtime cannot load.
+    threads: None for as many as `cpus.usable_cpus`. Raises UserError for a member that is missing, damaged, that ONNX
+    Runtime cannot load or, when it is called, cannot run, and for inputs and outputs of other names.
     """
 
     def __init__(
@@ -38,6 +40,7 @@ class Network:
         by_rows: bool = False,
     ):
         threads = threads or usable_cpus()
+        self._source, self._member = str(bundle.path), member
         self._session = _session(bundle, member, 1 if by_rows else threads)
         self.picks = by_rows and ROWS in {x.name for x in self._session.get_overridable_initializers()}
         if by_rows and not self.picks:  # a bundle of the time before `rows`
@@ -77,7 +80,29 @@ class Network:
             return list(out)
         return parts[0] if len(parts) == 1 else [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
 
+    def check_shape(self, name: str, shape: Sequence[int | None]) -> None:
+        """UserError if the member declares another shape of an input or output, None for an axis of any length."""
+        for declared in (*self._session.get_inputs(), *self._session.get_outputs()):
+            if declared.name != name:
+                continue
+            # an axis of any length is declared as text, or not at all
+            lengths = [x if isinstance(x, int) else None for x in declared.shape or ()]
+            fits = declared.shape is None or len(lengths) == len(shape)
+            fits = fits and all(None in (a, b) or a == b for a, b in zip(lengths, shape, strict=False))
+            if not fits or declared.type != "tensor(float)":
+                expected = ", ".join("any" if x is None else str(x) for x in shape)
+                raise UserError(
+                    f"{self._source}: {self._member} declares '{name}' as {declared.type} of shape "
+                    f"{tuple(declared.shape)}, not tensor(float) of ({expected}); {ADVICE}"
+                )
+
     def _run(self, worker: int, feeds: dict[str, np.ndarray], out: Sequence[np.ndarray] | None) -> list[np.ndarray]:
+        try:
+            return self._ran(worker, feeds, out)
+        except Exception as error:  # ONNX Runtime's exceptions have no common base but this
+            raise _refused(self._source, "run", self._member, error) from error
+
+    def _ran(self, worker: int, feeds: dict[str, np.ndarray], out: Sequence[np.ndarray] | None) -> list[np.ndarray]:
         if out is None:
             return self._session.run(self._outputs, feeds)
         from onnxruntime import OrtValue
@@ -106,7 +131,7 @@ def session_options(threads: int | None = None):
     options.intra_op_num_threads = threads or usable_cpus()
     # idle workers would spin on the cores that skinning and splatting need next
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.log_severity_level = 3
+    options.log_severity_level = 4  # what fails is raised, and need not be printed too
     return options
 
 
@@ -117,8 +142,20 @@ def _session(bundle: Bundle, member: str, threads: int):
     options = session_options(threads)
     data = bundle.read(member)
     try:
-        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        # without `enable_fallback` a failure is printed, and tried again with the same provider
+        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"], enable_fallback=0)
     except Exception as error:  # ONNX Runtime's exceptions have no common base but this
-        cause = str(error).strip().splitlines()[0]
-        version = onnxruntime.__version__
-        raise UserError(f"{bundle.path}: ONNX Runtime {version} cannot load {member}: {cause}") from error
+        raise _refused(bundle.path, "load", member, error) from error
+
+
+def _refused(source: object, verb: str, member: str, error: Exception) -> UserError:
+    import onnxruntime
+
+    cause = next(iter(str(error).strip().splitlines()), type(error).__name__)
+    cause = "".join(c if c.isprintable() else "?" for c in cause)[:LONGEST_CAUSE]
+    return UserError(f"{source}: ONNX Runtime {onnxruntime.__version__} cannot {verb} {member}: {cause}; {ADVICE}")
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

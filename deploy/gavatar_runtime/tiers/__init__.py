@@ -18,9 +18,10 @@ from ..components import Registry
 from ..decoding.detail import grown
 from ..decoding.residuals import Attributes
 from ..errors import UserError, WrongValue
+from ..formats.array_rules import ADVICE
 from ..plugins import load_entry_points
 from ..values.surface import Surface
-from .members import ArrayMember
+from .members import OUTPUTS, ArrayMember
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -50,23 +51,21 @@ class Parts:
 
     def check(self, attributes: Attributes, member: str, rows: int | None = None) -> Attributes:
         """The attributes; UserError when `member` gave another shape than one row a Gaussian of the bundle, or than the
-        `rows` asked for."""
+        `rows` asked for, and for NaN and infinity."""
         N = len(self.surface) if rows is None else rows
         shapes = tuple(a.shape for a in attributes)
         if shapes != ((N, 3), (N, 3), (N,)):
             found = ", ".join(map(str, shapes))
-            raise UserError(
-                f"{self.bundle.path}: {member} returns shapes {found} for {N} Gaussians; export the avatar again"
-            )
+            raise UserError(f"{self.bundle.path}: {member} returns shapes {found} for {N} Gaussians; {ADVICE}")
+        for name, array in zip(OUTPUTS, attributes, strict=True):
+            if not np.isfinite(array).all():
+                raise UserError(f"{self.bundle.path}: {member} gives NaN or infinite '{name}'; {ADVICE}")
         return attributes
 
     def arrays(self, member: ArrayMember) -> dict[str, np.ndarray]:
-        """The arrays of an .npz member; UserError naming the first that is not there."""
-        arrays = self.bundle.arrays(member.file)
-        for name in member.arrays:
-            if name not in arrays:
-                raise UserError(f"{self.bundle.path}: {member.file} lacks the array '{name}'; export the avatar again")
-        return arrays
+        """The arrays of an .npz member; UserError naming the first that is not there or breaks its rule."""
+        sizes = {"N": len(self.surface), "body_joints": self.surface.num_joints}
+        return member.read(self.bundle.arrays(member.file), f"{self.bundle.path}: {member.file}", sizes)
 
 
 class Tier(Protocol):

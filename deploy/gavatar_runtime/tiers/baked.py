@@ -13,8 +13,7 @@ from .members import BAKED
 def baked_attributes(parts: Parts) -> Attributes:
     """Points (N, 3), colors (N, 3), scales (N,) of baked.npz, float32."""
     arrays = parts.arrays(BAKED)
-    offsets, colors, scales = (arrays[name].astype(np.float32) for name in BAKED.arrays)
-    parts.check((offsets, colors, scales), BAKED.file)
+    offsets, colors, scales = (arrays[name] for name in BAKED.arrays)
     points, colors, scales = map(parts.take, (parts.surface.points + offsets, colors, scales))
     return points, colors, parts.grow(scales)
 

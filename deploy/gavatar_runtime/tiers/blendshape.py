@@ -10,6 +10,7 @@ import numpy as np
 from ..components import NoOptions
 from ..decoding.residuals import Attributes, blendshapes, empty, packed
 from ..errors import UserError
+from ..formats.array_rules import ADVICE, lacking
 from ..geometry.rotations import matrix_from_axis_angle
 from ..values.body import SMPL_BODY_JOINTS
 from . import PLAYER_TIERS, Parts
@@ -38,37 +39,24 @@ def turn_input(poses: np.ndarray, owners: np.ndarray, parents: np.ndarray) -> np
 
 
 class Coefficients:
-    """The weights of the bases in a pose, from the arrays of blendshape.npz (`members.BLENDSHAPE`).
+    """The weights of the bases in a pose, from the arrays of blendshape.npz, which obey `members.BLENDSHAPE`.
 
-    parents: (J,) of the body's joints. source: named in errors. Raises UserError for arrays that do not fit."""
+    parents: (J,) of the body's joints. source: named in errors. Raises UserError for layers that do not follow each
+    other."""
 
     def __init__(self, arrays: Mapping[str, np.ndarray], parents: np.ndarray, source: str):
         self._parts, self._parents = len(arrays["gains"]), np.asarray(parents)
         self._low, self._high = arrays["low"], arrays["high"]
         self._input_range = arrays["input_low"], arrays["input_high"]
         self._joints = arrays["joints"].astype(int)
-        count = sum(name.startswith("weight_") for name in arrays)
-        try:
-            self._layers = [(arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(count)]
-        except KeyError as error:
-            raise UserError(f"{source} lacks the array {error}; export the avatar again") from None
+        self._layers = _layers(arrays, len(self._input_range[0]), len(self._low), source)
         self._turn = self._seen = None
-        fits = True
         if "turn" in arrays:
-            self._turn, self._direct, self._owners = arrays["turn"], arrays.get("direct"), arrays.get("owners")
-            fits = self._direct is not None and self._owners is not None
-            fits = fits and self._direct.shape == (9 * len(self._joints), len(self._low))
-            fits = fits and self._turn.shape == (self._parts, 55, len(self._low) // self._parts)
-            fits = fits and len(self._owners) == self._parts and self._owners.max() < SMPL_BODY_JOINTS
-            self._owners = self._owners.astype(int) if fits else None
-        if {"seen", "near", "fade"} <= set(arrays):
+            self._turn, self._direct, self._owners = arrays["turn"], arrays["direct"], arrays["owners"].astype(int)
+        if "seen" in arrays:
             self._seen, self._fade = arrays["seen"].astype(np.float32), arrays["fade"]
             near = arrays["near"].astype(np.float32)
             self._near = near / np.maximum(near.sum(1, keepdims=True), 1)
-            fits = fits and near.shape == (self._parts, len(self._joints))
-            fits = fits and len(self._seen) > 0 and self._seen.shape[1:] == (9 * len(self._joints),)
-        if not fits:
-            raise UserError(f"arrays of {source} do not fit each other; export it again")
 
     def __call__(self, pose: np.ndarray) -> np.ndarray:
         """(P, K) for a pose (J, 3)."""
@@ -94,6 +82,28 @@ class Coefficients:
         return t * t * (3 - 2 * t)
 
 
+def _layers(arrays: Mapping[str, np.ndarray], inputs: int, outputs: int, source: str) -> list[tuple]:
+    """The network's weight and bias by layer, from so many inputs to so many outputs."""
+    count = max(sum(name.startswith(kind) for name in arrays) for kind in ("weight_", "bias_"))
+    layers, width = [], inputs
+    for i in range(count):
+        for name in (f"weight_{i}", f"bias_{i}"):
+            if name not in arrays:
+                raise lacking(source, name)
+        weight, bias = arrays[f"weight_{i}"], arrays[f"bias_{i}"]
+        following = (width, outputs if i == count - 1 else weight.shape[1])
+        if weight.shape != following or bias.shape != following[1:]:
+            raise UserError(
+                f"{source}: arrays 'weight_{i}' and 'bias_{i}' have shapes {weight.shape} and {bias.shape}, not "
+                f"{following} and {following[1:]}; {ADVICE}"
+            )
+        layers.append((weight, bias))
+        width = weight.shape[1]
+    if not layers:
+        raise lacking(source, "weight_0")
+    return layers
+
+
 @PLAYER_TIERS.register("blendshape", summary="pose residuals as linear bases by body part")
 class Blendshape:
     """The still look, and bases of each body part weighted by `Coefficients`: inputs and coefficients are kept within
@@ -107,15 +117,11 @@ class Blendshape:
         arrays = parts.arrays(BLENDSHAPE)
         source = f"{parts.bundle.path}: {BLENDSHAPE.file}"
         self._base = packed(*baked_attributes(parts))
-        stored = len(arrays["part"])
-        self._part = np.ascontiguousarray(parts.take(arrays["part"]), np.uint8)
-        self._basis = np.ascontiguousarray(parts.take(arrays["basis"]), np.int8)
+        self._part = np.ascontiguousarray(parts.take(arrays["part"]))
+        self._basis = np.ascontiguousarray(parts.take(arrays["basis"]))
         self._gains = arrays["gains"]
-        N, K = len(self._basis), 4 * self._basis.shape[1]
-        if len(self._part) != N or len(parts.surface) != stored or arrays["low"].shape != (len(self._gains) * K,):
-            raise UserError(f"{source} does not fit {len(parts.surface)} Gaussians; export it again")
         self.coefficients = Coefficients(arrays, parts.surface.parents, source)
-        self._out = [empty(N) for _ in range(3)]
+        self._out = [empty(len(parts)) for _ in range(3)]
         self._calls = 0
         self.stage_seconds: dict[str, float] = {}
 

@@ -25,10 +25,11 @@ class Coarse:
 
     def __init__(self, options: NoOptions, *, parts: Parts):
         arrays = parts.arrays(COARSE)
+        self._parts = parts
         self._encoder = Encoder(parts, ENCODER)
         self._decoder = Network(parts.bundle, DECODER_COARSE, (POSE_FEATURES,), OUTPUTS, parts.threads, by_rows=True)
         self._static = packed(*baked_attributes(parts))
-        self._index = np.ascontiguousarray(parts.take(arrays["index"]), np.int32)
+        self._index = np.ascontiguousarray(parts.take(arrays["index"]))
         self._weight = np.ascontiguousarray(parts.take(arrays["weight"]), np.float32)
         self._base = arrays["base"].astype(np.float32)
         self._ratio = float(arrays["ratio"])
@@ -44,7 +45,8 @@ class Coarse:
         features = self._encoder(pose)
         encoded = perf_counter()
         if self._decoded is None:
-            self._decoded = self._decoder(features, rows=self._rows)
+            decoded = self._decoder(features, rows=self._rows)
+            self._decoded = list(self._parts.check(tuple(decoded), DECODER_COARSE, len(self._base)))
         else:
             self._decoder(features, rows=self._rows, out=self._decoded)
         self._table[:, :3], self._table[:, 3:6], self._table[:, 6] = self._decoded

@@ -6,11 +6,13 @@ from time import perf_counter
 
 import numpy as np
 
+from ..bundle import SURFACE
 from ..components import NoOptions
 from ..decoding.network import Network
-from ..decoding.pose_inputs import PoseInput, check_inputs
+from ..decoding.pose_inputs import PoseInput, check_inputs, input_shape
 from ..decoding.residuals import Attributes, empty
 from ..errors import UserError
+from ..formats.array_rules import ADVICE
 from . import PLAYER_TIERS, Parts
 from .members import DECODER, DECODER_INT8, ENCODER, ENCODER_INT8, OUTPUTS, POSE_FEATURES
 
@@ -21,10 +23,13 @@ class Encoder:
 
     def __init__(self, parts: Parts, member: str):
         self._network = Network(parts.bundle, member, None, (POSE_FEATURES,), parts.threads)
-        surface, source = parts.map_surface, f"{parts.bundle.path}: {member}"
-        check_inputs(self._network.inputs, source)
+        self._network.check_shape(POSE_FEATURES, (1, None, None, None))
+        surface, self._source = parts.map_surface, f"{parts.bundle.path}: {member}"
+        check_inputs(self._network.inputs, self._source)
+        for name in self._network.inputs:
+            self._network.check_shape(name, (1, *input_shape(name, surface.resolution)))
         if "normal_map" in self._network.inputs and not np.isfinite(surface.normals).all():
-            raise UserError(f"{source} wants a normal_map, and surface.npz has no map_normals; export the avatar again")
+            raise UserError(f"{self._source} wants a normal_map, and {SURFACE} lacks the array 'map_normals'; {ADVICE}")
         self._inputs = [PoseInput(name, surface) for name in self._network.inputs]
         self._features: np.ndarray | None = None
 
@@ -32,6 +37,8 @@ class Encoder:
         inputs = [made(pose) for made in self._inputs]
         if self._features is None:
             (self._features,) = self._network(*inputs)
+            if not np.isfinite(self._features).all():
+                raise UserError(f"{self._source} gives NaN or infinite '{POSE_FEATURES}'; {ADVICE}")
         else:
             self._network(*inputs, out=(self._features,))
         return self._features

@@ -8,8 +8,28 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import UserError
+from ..formats.array_rules import FAR, Rule, a_tree, checked, rigid, sums_to_one
 from ..geometry.kinematics import invert_rigid, joint_transforms, moved_rest, skin, skinning_transforms
+
+LARGEST = 1 << 14  # side of an atlas
+# N points, J joints, K weights a point, atlas of side R. What a bundle leaves out is NaN there, or -1.
+SURFACE_RULES = {
+    "resolution": Rule((), np.int64, low=1, high=LARGEST, size="R"),
+    "texel": Rule(("N",), np.int32, below="R R"),
+    "uv": Rule(("N", 2)),
+    "face": Rule(("N",), np.int32, low=-1),
+    "barycentric": Rule(("N", 3), finite=False),
+    "points": Rule(("N", 3), low=-FAR, high=FAR),
+    "normals": Rule(("N", 3), finite=False),
+    "parents": Rule(("J",), np.int32, low=-1, tests=(a_tree,)),
+    "joints": Rule(("J", 3), np.float64, low=-FAR, high=FAR),
+    "joint_index": Rule(("N", "K"), np.int32, below="J"),
+    # float32 as they were sampled: what rounding leaves is a hundredth of this
+    "joint_weight": Rule(("N", "K"), low=0, tests=(sums_to_one(1e-3),)),
+    "spacing": Rule(("N",), finite=False),
+    "A_canonical": Rule(("J", 4, 4), np.float64, low=-FAR, high=FAR, tests=(rigid,)),
+    "weight_truncation": Rule((), np.float64),
+}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -92,35 +112,15 @@ class Surface:
     def from_arrays(cls, arrays: Mapping[str, np.ndarray], source: str = "surface") -> Surface:
         """The surface that `to_arrays` took apart; `source` names the file in messages.
 
-        Raises UserError for a missing array, for one whose shape does not fit the others and for an index out of range.
+        Raises UserError for an array that is missing or breaks its rule (`SURFACE_RULES`).
         """
-        names = [field.name for field in dataclasses.fields(cls)]
-        missing = [name for name in names if name not in arrays]
-        if missing:
-            raise UserError(f"{source}: array '{missing[0]}' is missing; export the surface again")
-        values: dict[str, Any] = {name: np.asarray(arrays[name]) for name in names}
-        _check(values, source)
-        values["resolution"] = int(values["resolution"])
-        values["weight_truncation"] = float(values["weight_truncation"])
-        return cls(**values)
+        values: dict[str, Any] = checked(arrays, SURFACE_RULES, source)
+        return cls(
+            **values
+            | {"resolution": int(values["resolution"]), "weight_truncation": float(values["weight_truncation"])}
+        )
 
 
 def _check_poses(poses: np.ndarray, num_joints: int) -> None:
     if poses.shape[-2:] != (num_joints, 3):
         raise ValueError(f"poses have shape {poses.shape}, expected (..., {num_joints}, 3)")
-
-
-def _check(values: Mapping[str, np.ndarray], source: str) -> None:
-    N, J = values["texel"].size, values["parents"].size
-    K = values["joint_index"].shape[-1] if values["joint_index"].ndim else 0
-    expected = {
-        "resolution": (), "texel": (N,), "uv": (N, 2), "face": (N,), "barycentric": (N, 3), "points": (N, 3),
-        "normals": (N, 3), "joint_index": (N, K), "joint_weight": (N, K), "spacing": (N,), "joints": (J, 3),
-        "parents": (J,), "A_canonical": (J, 4, 4), "weight_truncation": (),
-    }  # fmt: skip
-    for name, shape in expected.items():
-        if values[name].shape != shape:
-            raise UserError(f"{source}: array '{name}' has shape {values[name].shape}, not {shape}; export it again")
-    for name, limit in (("texel", int(values["resolution"]) ** 2), ("joint_index", J)):
-        if N and not 0 <= values[name].min() <= values[name].max() < limit:
-            raise UserError(f"{source}: array '{name}' points outside 0 to {limit - 1}; export it again")

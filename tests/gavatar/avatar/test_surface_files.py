@@ -39,7 +39,7 @@ def test_a_surface_survives_a_file_unchanged(tmp_path):
 def test_arrays_that_do_not_make_a_surface_are_named():
     arrays = free_surface(64).to_arrays()
     assert not any(array.dtype.hasobject for array in arrays.values())
-    with pytest.raises(UserError, match=r"avatar\.npz: array 'uv' is missing"):
+    with pytest.raises(UserError, match=r"avatar\.npz lacks the array 'uv'"):
         Surface.from_arrays({name: value for name, value in arrays.items() if name != "uv"}, "avatar.npz")
     with pytest.raises(UserError, match="'points' has shape"):
         Surface.from_arrays({**arrays, "points": arrays["points"][:-1]})
