@@ -8,10 +8,9 @@ one sentence to the user.
     python tools/fuzz.py bundle AVATAR.gavatar --one 123                  a seed again, with its traceback
 
 Told are the counts: `fine`, `refused` (by one sentence), and what must not be: `bad` (any other exception, a result
-that is not finite, a sentence of several lines, anything printed), `late` (a bundle that opens, and is
-refused when it plays), `crash` (the process died), `slow` (above 8 s; a case is ended after 20 s). Exits 1 if there is
-any of these. Cases run in forked processes that may take 12 GB of addresses; damage depends on the seed alone
-(`fuzz_damage`).
+that is not finite, a sentence of several lines, anything printed), `late` (a bundle that opens, and is refused when it
+plays), `crash` (the process died), `slow` (above 8 s of CPU; a case is ended after 20). Exits 1 if there is any of
+these. Cases run in forked processes that may take 12 GB of addresses; damage depends on the seed alone (`fuzz_damage`).
 """
 
 from __future__ import annotations
@@ -48,7 +47,8 @@ from gavatar_runtime.render.choice import build_rasterizer
 from gavatar_runtime.values.motion import Motion
 
 MOTION_SUFFIXES = (".bvh", ".npz", ".npy", ".pth", ".pkl", ".pt")
-SECONDS, SLOW = 20, 8  # after which a case is ended, and after which it is told
+SECONDS, SLOW = 20, 8  # of CPU, after which a case is ended, and after which it is told
+WAITED = 300  # seconds, after which one is ended that does not even compute
 ADDRESSES = 12 << 30  # bytes a process may map
 BATCH = 100  # cases a process: what one leaves behind does not reach far
 SIDE = 48  # pixels
@@ -192,19 +192,23 @@ def batch(case: Case, material: Material, seeds: range, folder: Path, log: Path)
     printed = os.open(folder / "printed", os.O_RDWR | os.O_CREAT | os.O_TRUNC)
     for stream in (1, 2):
         os.dup2(printed, stream)
+    sys.stdout = sys.stderr = open(printed, "w", closefd=False)  # noqa: SIM115  # for as long as the process lives
 
     def too_long(*_: object) -> None:
-        raise TimeoutError(f"not done after {SECONDS} s")
+        raise TimeoutError(f"not done after {SECONDS} s of CPU, or {WAITED} s")
 
-    signal.signal(signal.SIGALRM, too_long)
+    for number in (signal.SIGALRM, signal.SIGPROF):
+        signal.signal(number, too_long)
     with log.open("a", buffering=1) as file:
         for seed in seeds:
             file.write(json.dumps({"seed": seed, "kind": "crash"}) + "\n")  # unless another line follows
-            start = time.monotonic()
-            signal.alarm(SECONDS)
+            start = time.process_time()
+            signal.alarm(WAITED)
+            signal.setitimer(signal.ITIMER_PROF, SECONDS)
             found = outcome(case, material, seed, folder, printed)
             signal.alarm(0)
-            taken = time.monotonic() - start
+            signal.setitimer(signal.ITIMER_PROF, 0)
+            taken = time.process_time() - start
             if taken > SLOW and found.kind in ("fine", "refused"):
                 found = Outcome(seed, "slow", f"{taken:.1f} s: {found.text}")
             file.write(json.dumps(dataclasses.asdict(found)) + "\n")

@@ -15,6 +15,7 @@ from ..formats.array_rules import ADVICE
 
 CHUNK = 2048  # rows that a decoder's graph takes at once: the widest activations (2 MB) stay in a core's caches
 LONGEST_CAUSE = 300  # characters of a message of ONNX Runtime, which may list all of a graph
+OPEN = -1  # in a shape: an axis as long as whoever calls wants it
 ROWS = "rows"  # an optional input: which rows are wanted, int32 (`gavatar.export.onnx_graphs.decoder_model`)
 
 
@@ -81,16 +82,18 @@ class Network:
         return parts[0] if len(parts) == 1 else [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
 
     def check_shape(self, name: str, shape: Sequence[int | None]) -> None:
-        """UserError if the member declares another shape of an input or output, None for an axis of any length."""
+        """UserError if the member declares another shape of an input or output: None is an axis of any length, `OPEN`
+        one whose length it may not fix."""
         for declared in (*self._session.get_inputs(), *self._session.get_outputs()):
             if declared.name != name:
                 continue
             # an axis of any length is declared as text, or not at all
-            lengths = [x if isinstance(x, int) else None for x in declared.shape or ()]
-            fits = declared.shape is None or len(lengths) == len(shape)
-            fits = fits and all(None in (a, b) or a == b for a, b in zip(lengths, shape, strict=False))
+            lengths = [x if isinstance(x, int) else None for x in declared.shape]
+            fits = len(lengths) == len(shape) and all(
+                None in (a, b) or a == b for a, b in zip(lengths, shape, strict=True)
+            )
             if not fits or declared.type != "tensor(float)":
-                expected = ", ".join("any" if x is None else str(x) for x in shape)
+                expected = ", ".join({None: "any", OPEN: "rows"}.get(x, str(x)) for x in shape)
                 raise UserError(
                     f"{self._source}: {self._member} declares '{name}' as {declared.type} of shape "
                     f"{tuple(declared.shape)}, not tensor(float) of ({expected}); {ADVICE}"

@@ -7,12 +7,11 @@ from time import perf_counter
 import numpy as np
 
 from ..components import NoOptions
-from ..decoding.network import Network
 from ..decoding.residuals import Attributes, empty, packed, upsample
 from . import PLAYER_TIERS, Parts
 from .baked import baked_attributes
-from .full import Encoder
-from .members import BAKED, COARSE, DECODER_COARSE, ENCODER, OUTPUTS, POSE_FEATURES
+from .full import Encoder, decoder_network
+from .members import BAKED, COARSE, DECODER_COARSE, ENCODER, POSE_FEATURES
 
 
 @PLAYER_TIERS.register("coarse", summary="pose residuals decoded on few points and upsampled")
@@ -27,7 +26,7 @@ class Coarse:
         arrays = parts.arrays(COARSE)
         self._parts = parts
         self._encoder = Encoder(parts, ENCODER)
-        self._decoder = Network(parts.bundle, DECODER_COARSE, (POSE_FEATURES,), OUTPUTS, parts.threads, by_rows=True)
+        self._decoder = decoder_network(parts, DECODER_COARSE, (POSE_FEATURES,), by_rows=True)
         self._static = packed(*baked_attributes(parts))
         self._index = np.ascontiguousarray(parts.take(arrays["index"]))
         self._weight = np.ascontiguousarray(parts.take(arrays["weight"]), np.float32)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..bundle import SURFACE
 from ..components import NoOptions
-from ..decoding.network import Network
+from ..decoding.network import OPEN, Network
 from ..decoding.pose_inputs import PoseInput, check_inputs, input_shape
 from ..decoding.residuals import Attributes, empty
 from ..errors import UserError
@@ -44,6 +44,15 @@ class Encoder:
         return self._features
 
 
+def decoder_network(parts: Parts, member: str, inputs: tuple[str, ...], *, by_rows: bool) -> Network:
+    """A decoder whose declared outputs are `OUTPUTS`, of as many rows as are asked for where it `picks`."""
+    network = Network(parts.bundle, member, inputs, OUTPUTS, parts.threads, by_rows=by_rows)
+    rows = OPEN if network.picks else None
+    for name, rest in zip(OUTPUTS, ((3,), (3,), ()), strict=True):
+        network.check_shape(name, (rows, *rest))
+    return network
+
+
 @PLAYER_TIERS.register("full", summary="the networks as trained, float32", default=True)
 class Full:
     """Encoder, then decoder on every Gaussian, or on the rows asked for."""
@@ -57,7 +66,7 @@ class Full:
         self.stage_seconds: dict[str, float] = {}
         self._encoder = Encoder(parts, self.encoder) if self.moves else None
         inputs = (POSE_FEATURES,) if self.moves else ()
-        self._decoder = Network(parts.bundle, self.decoder, inputs, OUTPUTS, parts.threads, by_rows=self.moves)
+        self._decoder = decoder_network(parts, self.decoder, inputs, by_rows=self.moves)
         self.picks = self._decoder.picks
         chosen = parts.chosen
         if chosen is None and self.picks:

@@ -6,9 +6,9 @@ import numpy as np
 
 from gavatar_runtime.components import NoOptions
 from gavatar_runtime.tiers import PLAYER_TIERS, Parts
-from gavatar_runtime.tiers.members import ArrayMember
+from gavatar_runtime.tiers.members import ArrayMember, Rule
 
-GREY = ArrayMember("grey.npz", ("shade",))
+GREY = ArrayMember("grey.npz", {"shade": Rule((), low=0, high=1)})
 SCALE = 0.01  # metres, of every Gaussian
 
 
