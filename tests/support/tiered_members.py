@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,7 @@ def tier_arrays() -> dict[str, dict[str, np.ndarray]]:
     }
 
 
+@functools.cache
 def all_members() -> dict[str, bytes]:
     """The members of the bundle by file name."""
     made = members(COUNT, dynamic=True) | {name: pack_arrays(arrays) for name, arrays in tier_arrays().items()}
