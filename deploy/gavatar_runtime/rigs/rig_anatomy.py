@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..formats.bvh_file import Bvh
-from ..geometry.rotations import rotation_between
+from ..geometry.rotations import matrix_from_axis_angle, rotation_between
 from .seen_rig import SIDES, SeenRig, X, Y, Z, aside, frame, headings, see, unit, vertical_of
 
 _TURN = np.sin(np.radians(1))  # a hinge that turns by less says nothing of its axis
@@ -25,6 +25,8 @@ _AGREEMENT = 0.9  # of the axes of single frames: less, and the joint is no hing
 _PLANTED = 0.04  # legs' lengths above the lowest that ankles are: the foot stands
 _REVERSED = 120.0  # degrees: no limb that hangs or stands is turned that far about itself; the hinge bends backwards
 _ALONG_AXIS = 15.0  # degrees: a bone that lies along one of the joint's axes bends about another of them
+_CARRIED = 1 / 3  # of the way from an elbow's axis to what a hanging arm tells, for arms that bend outwards, ...
+_CARRIED_MOST = 12.0  # ... in degrees at most: arms that never hang tell little
 
 
 def imagined_stance(bvh: Bvh, mapping: dict[str, int], up: str) -> np.ndarray | None:
@@ -79,18 +81,20 @@ def _arm(rig: SeenRig, side: str, sign: float) -> None:
     if fore is not None and palm is not None:  # the thumb's side lies in front
         told = np.cross(rig.own(elbow, fore), rig.own(elbow, aside(palm, fore)))
     out, bends = sign * X, -sign * Y
-    _limb(rig, (shoulder, elbow, wrist), out, bends, told, lambda bone: _lowered(rig, shoulder, bone, out, bends))
+    guess = lambda bone: _lowered(rig, shoulder, bone, out, bends)  # noqa: E731
+    _limb(rig, (shoulder, elbow, wrist), out, bends, told, guess, carried=_CARRIED_MOST)
     _hand(rig, side, out)
 
 
 def _limb(
     rig: SeenRig, joints: tuple[str, str, str], direction: np.ndarray, bends: np.ndarray, told: np.ndarray | None,
-    guess: Callable[[np.ndarray], np.ndarray],
+    guess: Callable[[np.ndarray], np.ndarray], carried: float = 0.0,
 ) -> None:  # fmt: skip
     """Stretch the two bones of a limb out in a direction of the body's frame. bends: the axis that the joint between
     them bends about, there. told: that axis in the lower joint's own axes where the joint never bends, if foot or palm
     tell it. guess: the same for the upper joint, from its bone's directions, where nothing else does, and where the
-    joint between bends the wrong way."""
+    joint between bends the wrong way. carried: degrees by which a hinge about none of the joint's axes may be brought
+    nearer to the guess (`_carried`)."""
     upper, lower, _ = joints
     bones = {upper: rig.bone(*joints[:2]), lower: rig.bone(*joints[1:])}
     if bones[upper] is None:
@@ -103,6 +107,8 @@ def _limb(
     axes = _hinge(rig, (upper, lower), bones[upper], bones[lower])
     if axes[upper] is not None and _between(axes[upper], guessed, rig.own(upper, bones[upper])) > _REVERSED:
         axes = {joint: None if axis is None else -axis for joint, axis in axes.items()}
+    if axes[upper] is not None and carried:
+        axes = _carried(rig, axes, bones, guessed, carried)
     axes[lower] = told if axes[lower] is None else axes[lower]
     if axes[upper] is None and axes[lower] is None:
         axes[upper] = guessed
@@ -137,6 +143,27 @@ def _hinge(rig: SeenRig, joints: tuple[str, str], upper: np.ndarray, lower: np.n
     return {joints[0]: axis, joints[1]: own if np.linalg.norm(own) > _AGREEMENT else None}
 
 
+def _carried(
+    rig: SeenRig, axes: dict[str, np.ndarray | None], bones: dict[str, np.ndarray], guessed: np.ndarray, most: float
+) -> dict[str, np.ndarray | None]:
+    """The axes of an elbow turned about their bones a part of the way to the guess for the upper arm.
+
+    Rigs after bone files (CMU's) bend their elbows about an axis that stands 30 degrees outwards from where the arm of
+    the body bends; those whose elbow bends about one of the joint's own axes are left alone.
+    """
+    upper = next(iter(axes))
+    bone = unit(rig.own(upper, bones[upper]))
+    if _axis_near(bone, axes[upper]) is not None:
+        return axes
+    turn = _CARRIED * np.radians(_between(axes[upper], guessed, bone))
+    turn = min(turn, np.radians(most)) * (np.sign(np.cross(axes[upper], guessed) @ bone) or 1)
+    out = {}
+    for joint, axis in axes.items():
+        along = unit(rig.own(joint, bones[joint]))
+        out[joint] = None if axis is None else matrix_from_axis_angle(turn * along) @ axis
+    return out
+
+
 def _feet(rig: SeenRig) -> None:
     """A foot that stands on the floor is level, toes ahead; one that never does is pitched as the other is."""
     heights = {side: rig.places[:, rig.mapping[f"{side}_ankle"]] @ rig.vertical for side, _ in SIDES}
@@ -159,13 +186,15 @@ def _feet(rig: SeenRig) -> None:
 
 
 def _hand(rig: SeenRig, side: str, out: np.ndarray) -> None:
-    """A hand lies straight on its forearm, its knuckles in front; fingers but the thumb lie straight on it."""
+    """A hand lies straight on its forearm, its knuckles in front, or where there are none, turned about itself as it
+    hangs: a thumb moves too much to tell. Fingers but the thumb lie straight on it."""
     wrist, elbow = f"{side}_wrist", f"{side}_elbow"
     if wrist not in rig.mapping:
         return
     rig.follow(wrist, elbow, rig.standing)
-    bone = rig.bone(wrist, f"{side}_middle1" if f"{side}_middle1" in rig.mapping else f"{side}_index1")
-    palm = _knuckles(rig, side)
+    known = next((n for n in (f"{side}_middle1", f"{side}_index1") if n in rig.mapping), None)
+    bone = rig.outwards(wrist, f"{side}_thumb1") if known is None else rig.bone(wrist, known)
+    palm = _knuckles(rig, side) if len(_known_knuckles(rig, side)) > 1 else None
     if bone is not None:
         axis = rig.start[rig.mapping[wrist]].T @ Z if palm is None else rig.own(wrist, palm)
         _aim(rig, wrist, bone, out, axis, Z)
@@ -180,8 +209,7 @@ def _hand(rig: SeenRig, side: str, out: np.ndarray) -> None:
 def _knuckles(rig: SeenRig, side: str) -> np.ndarray | None:
     """(T, 3) from the little finger's side of a hand to the index finger's, in the world; where only the thumb is
     known, the way that it points aside from the forearm."""
-    names = [f"{side}_{finger}1" for finger in ("index", "middle", "ring", "pinky")]
-    known = [rig.mapping[name] for name in names if name in rig.mapping]
+    known = _known_knuckles(rig, side)
     fore = rig.bone(f"{side}_elbow", f"{side}_wrist")
     if len(known) > 1:
         across = rig.places[:, known[0]] - rig.places[:, known[-1]]
@@ -192,6 +220,12 @@ def _knuckles(rig: SeenRig, side: str) -> np.ndarray | None:
         return None
     length = np.linalg.norm(across, axis=-1, keepdims=True)
     return across / length if length.min() > 1e-6 else None
+
+
+def _known_knuckles(rig: SeenRig, side: str) -> list[int]:
+    """Rig joints of the fingers' first joints, from the index finger's side."""
+    names = [f"{side}_{finger}1" for finger in ("index", "middle", "ring", "pinky")]
+    return [rig.mapping[name] for name in names if name in rig.mapping]
 
 
 def _headed(rig: SeenRig, joint: str, axis: np.ndarray) -> np.ndarray:
@@ -221,9 +255,17 @@ def _aim(
     Rigs whose bones lie along a joint's axis bend about another of its axes: an estimate that comes near one is it.
     """
     own_bone = unit(rig.own(joint, bone))
-    if np.abs(own_bone).max() > 0.999:
-        across = aside(own_axis, own_bone)
-        along = int(np.argmax(np.abs(across)))
-        if abs(across[along]) > np.cos(np.radians(_ALONG_AXIS)) * np.linalg.norm(across):
-            own_axis = np.eye(3)[along] * np.sign(across[along])
-    rig.start[rig.mapping[joint]] = frame((own_bone, direction), (own_axis, axis))
+    near = _axis_near(own_bone, own_axis)
+    rig.start[rig.mapping[joint]] = frame((own_bone, direction), (own_axis if near is None else near, axis))
+
+
+def _axis_near(bone: np.ndarray, axis: np.ndarray) -> np.ndarray | None:
+    """(3,) the one of a joint's axes, with its sign, that an estimate of a hinge is near to, where the bone lies along
+    another; else None."""
+    if np.abs(bone).max() <= 0.999:
+        return None
+    across = aside(axis, bone)
+    along = int(np.argmax(np.abs(across)))
+    if abs(across[along]) <= np.cos(np.radians(_ALONG_AXIS)) * np.linalg.norm(across):
+        return None
+    return np.eye(3)[along] * np.sign(across[along])

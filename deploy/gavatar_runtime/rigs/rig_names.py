@@ -23,7 +23,10 @@ LIMBS = {
     "elbow": ("forearm", "lowerarm", "lowarm", "farm", "elbow", "radius"),
     "wrist": ("wrist", "hand"),
 }
-CENTRE = {"neck": ("neck", "neck1", "neck01", "lowerneck"), "head": ("head",)}
+CENTRE = {
+    "neck": ("neck", "neck1", "neck01", "lowerneck", "necklower", "necktwist01"),
+    "head": ("head", "head1", "head01"),
+}
 FINGER_NAMES = {
     "index": "index",
     "middle": "middle|mid",
@@ -33,11 +36,14 @@ FINGER_NAMES = {
 }
 _SEPARATORS = r"[_\s.\-]"
 _PREFIX = re.compile(
-    rf"^(mixamorig\d*|character\d*|bip\d*|valvebiped|armature|def|j|jnt|joint|bone|bn|b|cc_base|m_avg){_SEPARATORS}+",
+    rf"^(mixamorig\d*|character\d*|bip\d*|valvebiped|armature|def|org|c|j|jnt|joint|bone|bn|b|cc_base|m_avg){_SEPARATORS}+",
     re.I,
 )
-_MIDDLE = re.compile(rf"^(c|m|mid|center|centre){_SEPARATORS}+|{_SEPARATORS}+(c|m|mid|center|centre)$", re.I)
+_MIDDLE = re.compile(rf"^(c|m|x|mid|center|centre){_SEPARATORS}+|{_SEPARATORS}+(c|m|x|mid|center|centre)$", re.I)
 _WORDS = sorted({word for words in LIMBS.values() for word in words}, key=len, reverse=True)
+_OF_LIMBS = re.compile(r"(stretch|bend|fk|bone|0*1)$")  # the first of several bones of a limb, or of a control rig's
+_NUMBERED = re.compile(r"_\d{1,4}$")  # as converters of glTF number the joints
+_SHINS = ("lowleg", "lowerleg", "lowerlegs", "shin", "calf", "knee", "tibia")
 _SHARED = 0.7  # of the names of a rig have what is taken for its prefix
 
 
@@ -57,6 +63,7 @@ def split_name(name: str) -> tuple[str, str]:
             or re.fullmatch(rf"(.*?){_SEPARATORS}+(?i:{letter})(?:[_.\-]\d+)?", bare)
             or re.fullmatch(rf"[{letter}{letter.upper()}]([A-Z].*)", bare)
             or re.fullmatch(rf"{letter}({'|'.join(_WORDS)})", bare)
+            or re.fullmatch(rf"(.*[a-z]){letter.upper()}", bare)
         )
         if found and found[1]:
             return side, _plain(found[1])
@@ -78,8 +85,13 @@ def _without_prefixes(name: str) -> str:
 def bare_names(names: list[str]) -> list[str]:
     """The names without a beginning or an end, up to a separator, that most of them share: `Robot_LeftArm`, `Hips_jnt`.
 
-    A side is never taken off. Names that lack it stay as they are.
+    A side is never taken off. Names that lack it stay as they are. Numbers that every name but a few ends with, and
+    that no other name shares, go too.
     """
+    short = [_NUMBERED.sub("", name) for name in names]
+    numbered = [name for name, bare in zip(names, short, strict=True) if name != bare]
+    if len(numbered) >= _SHARED * len(names) and len(set(numbered)) == len(numbered) and len(set(short)) == len(names):
+        names = short
     start, end = _shared_start(names), _shared_start([name[::-1] for name in names])[::-1]
     bare = [name.removeprefix(start) or name for name in names]
     return [name.removesuffix(end) or name for name in bare]
@@ -112,8 +124,10 @@ def match_rig(names: list[str], parents: Sequence[int] | None) -> dict[str, int]
     found: dict[str, int] = {"pelvis": 0}
     for side in ("left", "right"):
         mine = {what: j for j, (s, what) in reversed(list(enumerate(split))) if s == side}
-        for what, j in list(mine.items()):  # `upperleg01`, the first of several bones of a limb
-            mine.setdefault(re.sub(r"0*1$", "", what), j)
+        for what, j in list(mine.items()):  # `upperleg01`, `thighbend`
+            mine.setdefault(_OF_LIMBS.sub("", what), j)
+        if "leg" in mine and set(_SHINS) & set(mine):
+            mine.setdefault("upleg", mine["leg"])
         taken: set[int] = set()
         for part in ("shoulder", "hip", "collar", *(p for p in LIMBS if p not in ("shoulder", "hip", "collar"))):
             words = LIMBS[part]
@@ -128,20 +142,46 @@ def match_rig(names: list[str], parents: Sequence[int] | None) -> dict[str, int]
         choice = next((j for w in words for j, (s, what) in enumerate(split) if not s and what == w), None)
         if choice is not None:
             found[part] = choice
+    if parents is not None:
+        found |= _neck_and_head(found, split, parents)
     return found | {"pelvis": pelvis_of(found, parents)}
+
+
+def _neck_and_head(found: dict[str, int], split: list[tuple[str, str]], parents: Sequence[int]) -> dict[str, int]:
+    """Neck and head that have no such name (`spine.006`): the first and the last of the longest row of joints in the
+    middle that leaves the spine above the hips, if it leaves it at the shoulders' last common joint."""
+    if ("neck" in found and "head" in found) or not {"left_shoulder", "right_shoulder"} <= set(found):
+        return {}
+    lines = [_line(found[f"{side}_shoulder"], parents) for side in ("left", "right")]
+    chest = next((joint for joint in lines[0] if joint in lines[1]), -1)
+    rows = [_line(j, parents)[::-1] for j in range(len(parents)) if chest in _line(j, parents)[1:]]
+    rows = [row[row.index(chest) + 1 :] for row in rows]
+    rows = [row for row in rows if not any(split[j][0] for j in row) and not set(row) & set(lines[0] + lines[1])]
+    row = max(rows, key=len, default=[])
+    if "head" in found or not row:
+        line = _line(found["head"], parents)[::-1] if "head" in found else []
+        row = line[line.index(chest) + 1 :] if chest in line else []
+        return {"neck": row[0]} if len(row) > 1 and "neck" not in found else {}
+    if "neck" in found:
+        row = row[row.index(found["neck"]) + 1 :] if found["neck"] in row else []
+        return {"head": row[-1]} if row else {}
+    return {"head": row[-1]} | ({"neck": row[0]} if len(row) > 1 else {})
+
+
+def _line(joint: int, parents: Sequence[int]) -> list[int]:
+    """The joint and those above it, to the root."""
+    line = []
+    while joint >= 0:
+        line.append(int(joint))
+        joint = int(parents[joint])
+    return line
 
 
 def pelvis_of(found: dict[str, int], parents: Sequence[int] | None) -> int:
     """The lowest joint above both hips, 0 where they are not known."""
     if parents is None or not {"left_hip", "right_hip"} <= set(found):
         return 0
-    lines = []
-    for hip in ("left_hip", "right_hip"):
-        joint, line = int(parents[found[hip]]), []
-        while joint >= 0:
-            line.append(joint)
-            joint = int(parents[joint])
-        lines.append(line)
+    lines = [_line(int(parents[found[hip]]), parents) for hip in ("left_hip", "right_hip")]
     return next((joint for joint in lines[0] if joint in lines[1]), 0)
 
 

@@ -38,6 +38,19 @@ class SeenRig:
         length = np.linalg.norm(bone, axis=-1, keepdims=True)
         return bone / length if np.isfinite(length).all() and length.min() > 1e-6 else None
 
+    def outwards(self, joint: str, without: str) -> np.ndarray | None:
+        """(T, 3) unit directions from a joint to the one farthest from it among those below it, or to its End Site;
+        None without any. without: a joint that does not count, with all below it."""
+        j, barred = self.mapping[joint], self.mapping.get(without, -1)
+        lines = [self.bvh.line(k) for k in range(len(self.bvh.names))]
+        below = [line[-1] for line in lines if j in line[:-1] and barred not in line]
+        if not below:
+            return self.bone(joint, "")
+        far = max(below, key=lambda k: np.linalg.norm(self.places[:, k] - self.places[:, j], axis=-1).mean())
+        bone = self.places[:, far] - self.places[:, j]
+        length = np.linalg.norm(bone, axis=-1, keepdims=True)
+        return bone / length if length.min() > 1e-6 else None
+
     def own(self, joint: str, directions: np.ndarray, frames: np.ndarray | slice = slice(None)) -> np.ndarray:
         """(3,) the mean of directions (F, 3) of the world in the joint's own axes; its length tells their agreement."""
         return np.einsum("tab,ta->tb", self.world[frames, self.mapping[joint]], directions).mean(0)
