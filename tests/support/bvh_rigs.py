@@ -170,7 +170,7 @@ def write_parsed(path, bvh):
         order.append(j)
         lines.extend([f"{'JOINT' if bvh.parents[j] >= 0 else 'ROOT'} {bvh.names[j]}", "{"])
         lines.append("OFFSET " + " ".join(f"{v:.9f}" for v in bvh.offsets[j]))
-        places = "6 Xposition Yposition Zposition" if bvh.parents[j] < 0 else "3"
+        places = "6 Xposition Yposition Zposition" if bvh.parents[j] < 0 or j in bvh.moves else "3"
         lines.append(f"CHANNELS {places} Zrotation Xrotation Yrotation")
         for child in children[j]:
             joint(child)
@@ -179,7 +179,12 @@ def write_parsed(path, bvh):
         lines.append("}")
 
     joint(children[-1][0])
-    angles = zxy_degrees(bvh.rotations)[:, order].reshape(len(bvh.root), -1)
+    angles = zxy_degrees(bvh.rotations)
+    columns = []
+    for j in order:
+        places = bvh.root if bvh.parents[j] < 0 else bvh.moves.get(j)
+        columns += [angles[:, j]] if places is None else [places, angles[:, j]]
+    table = np.concatenate(columns, 1)
     lines += ["MOTION", f"Frames: {len(bvh.root)}", f"Frame Time: {1 / bvh.fps:.8f}"]
-    lines += [" ".join(f"{v:.9f}" for v in [*root, *row]) for root, row in zip(bvh.root, angles, strict=True)]
+    lines += [" ".join(f"{v:.9f}" for v in row) for row in table]
     Path(path).write_text("\n".join(lines) + "\n")

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import UserError, cannot_read, frames_named
 from ..geometry.rotations import matrix_from_axis_angle
+from .foreign import foreign_start
 
 CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
 _SCALES = tuple(f"{axis}scale" for axis in "XYZ")  # some exporters write them; bones keep their length here
@@ -29,7 +30,9 @@ class Bvh:
     tips: (J, 3) the offset of a joint's End Site, NaN without one. rotations: (T, J, 3, 3) relative to the parent; the
     identity is the rest pose. root: (T, 3) place of the root. fps: frames per second, 0 where the file states none.
     moves: (T, 3) place relative to the parent, by joint, of joints below the root that have position channels; their
-    offset is the median of it. notes: what is odd about the file.
+    offset is the median of it. turning: (J,) bool, which joints have rotation channels, None where that is not known.
+    placed: whether any joint has position channels. largest: of the rotations, as they stand in the file. notes: what
+    is odd about the file.
     """
 
     names: list[str]
@@ -41,6 +44,9 @@ class Bvh:
     fps: float
     moves: dict[int, np.ndarray] = dataclasses.field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    turning: np.ndarray | None = None
+    placed: bool = True
+    largest: float = 0.0
 
     def world_rotations(self) -> np.ndarray:
         """(T, J, 3, 3) orientation of every joint relative to its own at rest."""
@@ -90,14 +96,19 @@ class Bvh:
         return dataclasses.replace(self, rotations=rotations, offsets=offsets, tips=tips, moves=moves)
 
 
-def read_bvh(path: str | os.PathLike) -> Bvh:
-    """Parse a file. Raises UserError naming the file and the line or field."""
+def read_bvh(path: str | os.PathLike, *, radians: bool = False) -> Bvh:
+    """Parse a file. radians: its angles are in radians, not in degrees. Raises UserError naming the file and the line
+    or field."""
     path = Path(path)
     try:
-        text = _decoded(path.read_bytes())
+        data = path.read_bytes()
     except OSError as error:
         raise cannot_read(path, error) from None
-    return _Parser(path, text).bvh()
+    foreign = "" if data.lstrip(b"\xef\xbb\xbf \t\r\n")[:9].upper() == b"HIERARCHY" else foreign_start(data[:64])
+    if foreign:
+        raise UserError(f"{path} is not a BVH file: it {foreign}")
+    text = _decoded(data)
+    return _Parser(path, text, 1.0 if radians else np.pi / 180).bvh()
 
 
 def _decoded(data: bytes) -> str:
@@ -113,7 +124,8 @@ def _decoded(data: bytes) -> str:
 
 
 class _Parser:
-    def __init__(self, path: Path, text: str):
+    def __init__(self, path: Path, text: str, unit: float):
+        self.unit = unit  # radians of an angle's
         self.path, self.lines, self.line = path, text.splitlines(), 0
         self.names: list[str] = []
         self.parents: list[int] = []
@@ -227,7 +239,7 @@ class _Parser:
         joints, place = len(self.names), 0
         rotations = np.broadcast_to(np.eye(3), (count, joints, 3, 3)).copy()
         offsets = np.array(self.offsets)
-        root, moves = np.tile(offsets[0], (count, 1)), {}
+        root, moves, largest = np.tile(offsets[0], (count, 1)), {}, 0.0
         for j, names in enumerate(self.channels):
             columns = dict(zip(names, values[:, place : place + len(names)].T, strict=True))
             place += len(names)
@@ -235,7 +247,8 @@ class _Parser:
             for name, column in columns.items():
                 axis = "XYZ".index(name[0])
                 if name.endswith("rotation"):  # applied in the order of the channels, each about the turned axes
-                    turn = matrix_from_axis_angle(np.radians(column)[:, None] * _AXES[axis])
+                    largest = max(largest, float(np.abs(column).max()))
+                    turn = matrix_from_axis_angle((column * self.unit)[:, None] * _AXES[axis])
                     rotations[:, j] = rotations[:, j] @ turn
                 elif name.endswith("position"):
                     places[:, axis] = column
@@ -247,12 +260,19 @@ class _Parser:
         tips = np.full((joints, 3), np.nan)
         for j, tip in self.tips.items():
             tips[j] = tip
-        notes = tuple(self.notes)
-        return Bvh(self.names, np.array(self.parents), offsets, tips, rotations, root, fps, moves, notes)
+        turning = np.array([any(name.endswith("rotation") for name in names) for names in self.channels])
+        placed = any(name.endswith("position") for names in self.channels for name in names)
+        return Bvh(
+            self.names, np.array(self.parents), offsets, tips, rotations, root, fps, moves, tuple(self.notes), turning,
+            placed, largest,
+        )  # fmt: skip
 
     def table(self, count: int, width: int) -> np.ndarray:
         """(count, width) the numbers of MOTION; more than those are noted and left out."""
-        numbers = " ".join(self.lines[self.line :]).split()
+        text = " ".join(self.lines[self.line :])
+        if ";" in text or ("," in text and ("." in text or ", " in text)):  # else the comma of some countries
+            text = text.replace(",", "." if ";" in text and "." not in text else " ").replace(";", " ")
+        numbers = text.split()
         if len(numbers) < count * width or width == 0:
             raise UserError(
                 f"{self.path}: {count} frames of {width} channels are {count * width} numbers, the file holds "

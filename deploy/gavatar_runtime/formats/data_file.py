@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UserError, cannot_read
+from .foreign import foreign_start
 from .joblib_file import is_packed, load_joblib
 from .numpy_file import load_npy, load_npz
 from .torch_file import is_older_format, load_torch
@@ -38,6 +39,9 @@ def load_data(path: str | os.PathLike) -> Any:
         return _json(path)
     if start[:1] in (b"(", b"}", b"]"):  # pickles of the oldest protocol have no mark
         return load_joblib(path, lenient=True)
+    foreign = foreign_start(start)
+    if foreign:
+        raise UserError(f"{path} {foreign}")
     kind = path.suffix.lower() or "data"
     raise UserError(f"{path} is empty, damaged or not an {kind} file: it holds no arrays, pickle, tensors or JSON")
 

@@ -18,6 +18,13 @@ EXPRESSION_KEYS = ("expression", "expressions", "expr")
 PCA_KEY, FLAT_KEY = "use_pca", "flat_hand_mean"  # smplx's words for how hand poses are to be read
 
 
+# Where a file says how its rotations are written
+SAID_KEYS = (
+    "rotation_format", "rotation_type", "rotation_representation", "rot_format", "rot_type", "rot_repr", "rotations",
+    "pose_format", "pose_type", "pose_rep", "representation",
+)  # fmt: skip
+
+
 def flat(keys: tuple) -> tuple[str, ...]:
     """The names of a list of which some stand for pairs."""
     return tuple(k for key in keys for k in (key if isinstance(key, tuple) else (key,)))

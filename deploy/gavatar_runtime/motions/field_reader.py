@@ -10,7 +10,8 @@ import numpy as np
 
 from ..errors import UserError, frames_named
 from ..formats.pickled_values import Unread
-from .rotation_kinds import NUMBERS, axis_angle, told_kind
+from .field_names import SAID_KEYS
+from .rotation_kinds import NUMBERS, axis_angle, said_kind, told_kind, unsure_order
 
 
 class FieldReader:
@@ -18,7 +19,8 @@ class FieldReader:
     notes: sentences for the user, added as fields are read."""
 
     def __init__(self, path: Path, arrays: Mapping[str, Any], rotations: str = "auto"):
-        self.path, self.arrays, self.kind = path, arrays, rotations
+        said = next((said_kind(arrays[key]) for key in SAID_KEYS if key in arrays), "auto")
+        self.path, self.arrays, self.kind = path, arrays, said if rotations == "auto" else rotations
         self.notes: list[str] = []
 
     def key(self, keys: tuple[str, ...]) -> str | None:
@@ -66,6 +68,11 @@ class FieldReader:
         kind = told_kind(name, array) if self.kind == "auto" else self.kind
         if width is not None and count * 3 != width * NUMBERS[kind]:
             raise UserError(f"{name} holds {count} numbers a frame, expected {width // 3 * NUMBERS[kind]}")
+        if self.kind == "auto" and kind.startswith("quaternion") and unsure_order(array):
+            self.notes.append(
+                f"{key} holds quaternions, it is hard to say in which order: {kind[-4:]} is taken; --set "
+                "motion.rotations=quaternion-wxyz or quaternion-xyzw says it"
+            )
         values, kind = axis_angle(name, array, kind)
         return np.asarray(values, np.float32), kind
 

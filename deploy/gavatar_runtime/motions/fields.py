@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -20,8 +21,9 @@ from .field_names import (
     WHOLE_KEYS,
     flat,
 )
+from .field_reader import as_array
 from .hand_fields import HandFields, with_hands
-from .plausible import ASSUMED_FPS, asked_rate, check_angles, check_joints, in_metres, stated_rate
+from .plausible import ASSUMED_FPS, asked_rate, check_angles, check_joints, check_layout, in_metres, stated_rate
 from .refusals import poses_missing, positions_refused
 from .rotation_kinds import are_positions, told_kind
 from .upright import y_up
@@ -111,6 +113,8 @@ class SmplFields(HandFields):
                 f"{self.path}: {key} has shape {array.shape}, expected (T, 3J), three axis-angle numbers a joint"
             )
         width = array.size // len(array)
+        if self.kind == "auto":
+            check_layout(self.path, key, array)
         told = self.kind == "auto" and width not in COMPACT and array.ndim < 4
         if told and told_kind(f"{self.path}: {key}", array) == "axis-angle":
             self.notes += check_joints(self.path, key, width)
@@ -190,6 +194,7 @@ class SmplFields(HandFields):
             frames = len(trans)
         if trans.ndim == 3 and trans.shape[-1] == 3 and trans.size == 3 * (frames or 0):
             trans = trans.reshape(-1, 3)  # (T, 1, 3) or (1, T, 3)
+        trans = trans[None] if trans.shape == (3,) and frames == 1 else trans
         if trans.shape != (frames, 3):
             raise UserError(f"{self.path}: {key} has shape {trans.shape}, expected ({frames}, 3) to match poses")
         return self.finite(key, trans)
@@ -205,7 +210,8 @@ class SmplFields(HandFields):
                     "says another"
                 )
             return ASSUMED_FPS
-        value = self.numbers(key)
+        value = _number_in_text(self.arrays[key])
+        value = self.numbers(key) if value is None else value
         return stated_rate(self.path, key, float(value.reshape(-1)[0]) if value.size == 1 else np.nan, frames or 0)
 
     def _betas(self) -> np.ndarray | None:
@@ -223,3 +229,15 @@ class SmplFields(HandFields):
         if value.size != 1 or not 0 < float(value.reshape(-1)[0]) < np.inf:
             raise UserError(f"{self.path}: leg_length must be one positive number of metres")
         return float(value.reshape(-1)[0])
+
+
+def _number_in_text(value: Any) -> np.ndarray | None:
+    """(1,) a number that is stored as text, as `np.savez(fps="30")` leaves it; None for anything else."""
+    array = as_array(value)
+    if array is None or array.size != 1 or array.dtype.kind not in "US":
+        return None
+    text = array.reshape(-1)[0]
+    try:
+        return np.array([float(text.decode("ascii", "replace") if isinstance(text, bytes) else text)])
+    except ValueError:
+        return None

@@ -16,6 +16,7 @@ SLOWEST, FASTEST = 1.0, 500.0  # frames per second that a file may state
 FAR, HIGH, FAST = 100.0, 20.0, 20.0  # metres from the start, metres of height, metres a second: beyond, it is doubted
 FARTHEST = 1e5  # metres: beyond, nothing is played
 FULL_TURN = 2 * np.pi
+_BEYOND_HALF = 0.01  # of the joints of all frames may be turned by more than half a turn, as fits leave it
 
 
 def asked_rate(fps: Any) -> float:
@@ -28,14 +29,14 @@ def asked_rate(fps: Any) -> float:
 def stated_rate(path: Path, name: str, fps: float, frames: int) -> float:
     """The rate that a file states by its field `name`, if a camera may have had it.
 
-    UserError names the field and how another rate is given.
+    UserError names the field and how another rate is given. Of one frame no rate matters.
     """
+    if frames == 1:
+        return float(fps) if np.isfinite(fps) and 0 < fps < 1e6 else ASSUMED_FPS
     way_out = "say the rate with `fps=30` (or what it is)"
     if not (np.isfinite(fps) and fps > 0):
         what = "positive number of seconds" if name == "Frame Time" else "one positive number of frames per second"
         raise UserError(f"{path}: {name} must be {'a ' if name == 'Frame Time' else ''}{what}; {way_out}")
-    if frames == 1:
-        return float(fps)
     if fps > FASTEST:
         count = ", as many as it has frames," if round(fps) == frames else ""
         raise UserError(f"{path}: {name} says {fps:g} frames a second{count} which no recording has; {way_out}")
@@ -66,10 +67,16 @@ def in_metres(path: Path, trans: np.ndarray, fps: float, units: str) -> tuple[np
             f"{path}: trans is up to {max(height, span):.3g} m away, where nobody is; `units=cm` or mm says what it is "
             "in"
         )
-    if height > HIGH or span > FAR or _speed(trans, fps) > FAST:
-        way = f"goes {span:.0f} m far, {height:.0f} m high, at {_speed(trans, fps):.0f} m a second"
-        return trans, [f"trans {way}: if it is not in metres, `units=cm` or mm says so"]
-    return trans, []
+    return trans, [f"{note}: if it is not in metres, `units=cm` or mm says so" for note in check_way(trans, fps)]
+
+
+def check_way(trans: np.ndarray, fps: float, height: bool = True) -> list[str]:
+    """Notes on a y-up translation (T, 3) in metres that goes farther or faster than people do."""
+    high, span = _height_and_span(trans)
+    high = high if height else 0.0
+    if high <= HIGH and span <= FAR and _speed(trans, fps) <= FAST:
+        return []
+    return [f"trans goes {span:.0f} m far, {high:.0f} m high, at {_speed(trans, fps):.0f} m a second"]
 
 
 def _height_and_span(trans: np.ndarray) -> tuple[float, float]:
@@ -83,6 +90,7 @@ def _speed(trans: np.ndarray, fps: float) -> float:
     return float(np.median(steps) * fps) if len(steps) else 0.0
 
 
+_MOST_JOINTS = 500
 # Numbers a frame that are not axis-angle of any skeleton, and what they are then
 _KNOWN_JOINTS = (21, 22, 23, 24, 51, 52, 54, 55)
 _WIDTHS = {
@@ -92,16 +100,45 @@ _WIDTHS = {
     **{9 * n: f"{n} matrices, though of no rotations" for n in _KNOWN_JOINTS},
     63: "21 joints: a body without its pelvis, whose rotation must stand in global_orient",
     69: "23 joints: a body without its pelvis, whose rotation must stand in global_orient",
+    135: "3 numbers and 22 joints in 6D, it seems: store them apart, as trans and poses_6d",
+    147: "3 numbers and 24 joints in 6D, it seems: store them apart, as trans and poses_6d",
+    315: "3 numbers of a place and 52 joints in 6D, as FineDance and LODGE have them: store them apart, as trans and "
+         "poses_6d",
+    168: "55 joints and 3 numbers of a place, as Inter-X and ReGenNet have them: store them apart, as poses and trans",
+    46: "the 46 angles of SKEL, as HSMR writes them, not SMPL's rotations: take SMPL's poses, which SKEL's code makes "
+        "of them",
+    272: "the features of the 272-dim motion representation: its recover_visualize.py makes SMPL's poses of them",
     263: "the features that HumanML3D trains on, not rotations",
     251: "the features that KIT-ML trains on, not rotations",
 }  # fmt: skip
 
 
+def check_layout(path: Path, key: str, array: np.ndarray) -> None:
+    """UserError where the frames of poses are plainly the last axis."""
+    joints = {len(names) for names in SKELETONS.values()}
+    rows = array.shape[0] if array.ndim > 1 else 0
+    last = array.ndim == 2 and rows % 3 == 0 and rows // 3 in joints and 3 < array.shape[1] < 60
+    last = last or (array.ndim == 3 and rows in joints and array.shape[1] in (3, 6) and array.shape[2] not in (2, 3))
+    if last:
+        axes = (1, 0) if array.ndim == 2 else (2, 0, 1)
+        raise UserError(
+            f"{path}: {key} has shape {array.shape}: its frames seem to be the last axis; store "
+            f"{key}.transpose{axes}, with the frames first"
+        )
+
+
 def check_joints(path: Path, key: str, width: int) -> list[str]:
     """Notes on axis-angle poses of `width` numbers a frame; UserError where they are plainly something else."""
     counts = sorted({len(names) for names in SKELETONS.values()})
-    if width % 3 == 0 and width // 3 in (1, *counts):
+    if width == 3:
+        return [f"{key} turns one joint, the pelvis: no limb moves"]
+    if width % 3 == 0 and width // 3 in counts:
         return []
+    if width > 3 * _MOST_JOINTS:
+        raise UserError(
+            f"{path}: {key} holds {width} numbers a frame: no body has so many joints; vertices of a mesh say nothing "
+            "of how joints turn"
+        )
     if width in _WIDTHS:
         raise UserError(f"{path}: {key} holds {width} numbers a frame: {_WIDTHS[width]}")
     if width % 3:
@@ -123,9 +160,10 @@ def check_angles(path: Path, key: str, poses: np.ndarray) -> list[str]:
                 "`rotations=degrees` reads them"
             )
         raise UserError(f"{path}: {key} turns a joint by {largest:.3g} radians: these are no rotations")
-    if angle[:, 1:].max(initial=0.0) > FULL_TURN + 1e-3:
-        return [
-            f"{key} turns a joint by {largest:.1f} radians, more than a full turn: if these are degrees, "
-            "`rotations=degrees` reads them"
-        ]
-    return []
+    what, inner = "", angle[:, 1:]
+    if inner.max(initial=0.0) > FULL_TURN + 1e-3:
+        what = "more than a full turn"
+    elif inner.size and (inner > np.pi + 1e-2).mean() > _BEYOND_HALF:
+        what = "many by more than half a turn"
+    said = f"{key} turns a joint by {largest:.1f} radians, {what}: if these are degrees, `rotations=degrees` reads them"
+    return [said] if what else []

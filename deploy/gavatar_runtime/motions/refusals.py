@@ -19,6 +19,7 @@ _HOLDS = (
     (("v_template", "J_regressor"), "a body model, not a motion: give a file of poses"),
     (("people", "version"), "OpenPose's keypoints of an image, not rotations: fit a body to them, with EasyMocap or "
      "SMPLify-X"),
+    (("keypoints3d", "keypoints3d_optim"), "joint positions of AIST++: its folder motions/ holds the rotations"),
     (("keypoints3d",), "joint positions of EasyMocap: its folder smpl/ (or output/smpl/) holds the rotations"),
     (("pred_cam_R", "pred_cam_T"), "TRAM's camera: the persons are in hps/hps_track_0.npy beside it"),
     (("motion", "lengths"), f"positions of joints, not rotations; {MDM_WAY_OUT}"),

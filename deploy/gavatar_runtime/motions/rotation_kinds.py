@@ -69,11 +69,40 @@ def told_kind(key: str, array: np.ndarray) -> str:
     if array.ndim > 3 and array.shape[-2:] == (3, 3):
         raise UserError(f"{key} holds matrices that are no rotations")
     if numbers.shape[1] % 4 == 0 and _unit(numbers.reshape(len(array), -1, 4)):
-        q = np.abs(numbers.reshape(-1, 4)).mean(0)
-        return "quaternion-wxyz" if q[0] >= q[3] else "quaternion-xyzw"  # most joints are turned by little
+        named = next((order for order in ("wxyz", "xyzw") if order in key.lower()), "")
+        q = np.abs(numbers.reshape(-1, 4)).mean(0)  # most joints are turned by little
+        return f"quaternion-{named}" if named else "quaternion-wxyz" if q[0] >= q[3] else "quaternion-xyzw"
     if array.shape[-2:] == (3, 2) or (array.ndim > 2 and array.shape[-1] == 6) or _is_six(numbers):
         raise UserError(f"{key} has shape {array.shape}: {_SIX}")
     return "axis-angle"
+
+
+_WORDS = (
+    ("6d-rows", ("6drows",)),
+    ("6d", ("6d", "rot6d", "cont6d", "sixd", "ortho6d", "6dcolumns", "rotation6d")),
+    ("quaternion-xyzw", ("xyzw", "quatxyzw", "quaternionxyzw", "scipy")),
+    ("quaternion-wxyz", ("wxyz", "quatwxyz", "quaternionwxyz")),
+    ("matrix", ("matrix", "matrices", "rotmat", "rotmats", "rotationmatrix", "mat3x3")),
+    ("axis-angle", ("axisangle", "aa", "rotvec", "axisang", "angleaxis", "radians")),
+    ("degrees", ("degrees", "deg", "axisangledegrees")),
+)
+
+
+def said_kind(value: object) -> str:
+    """The kind that a word in a file names (`rot6d`, `xyzw`, `rotmat`), `auto` for any other word or thing."""
+    array = np.asarray(value) if isinstance(value, (str, bytes, np.ndarray, np.generic)) else np.zeros(0)
+    if array.size != 1 or array.dtype.kind not in "US":
+        return "auto"
+    text = array.reshape(-1)[0]
+    text = text.decode("ascii", "replace") if isinstance(text, bytes) else str(text)
+    word = "".join(c for c in text.lower() if c.isalnum())
+    return next((kind for kind, words in _WORDS if word in words), "auto")
+
+
+def unsure_order(array: np.ndarray) -> bool:
+    """Whether the first and the last number of quaternions are much alike, so that neither is plainly the real part."""
+    q = np.abs(array.reshape(-1, 4).astype(np.float64)).mean(0)
+    return bool(abs(q[0] - q[3]) < 0.2)
 
 
 def are_rotations(numbers: np.ndarray) -> bool:

@@ -84,7 +84,33 @@ def _find(source: str | Path) -> Component[MotionSource] | None:
     return named
 
 
+_BLENDER = "import it into Blender and export the armature as BVH (File > Export > Motion Capture)"
+_TRACK = "track the person with a pose estimator (GVHMR, WHAM, 4D-Humans) and give the file that it writes"
+_MARKERS = "places of markers are no rotations: fit a body to them (MoSh++ writes AMASS's .npz, SOMA labels them), or "
+_MARKERS += "solve a skeleton and export it as BVH"
+# What people have motions in, and how they become one that is read
+_OTHER_FILES = {
+    **dict.fromkeys((".fbx", ".glb", ".gltf", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".blend"), _BLENDER),
+    **dict.fromkeys((".vrma", ".vmd", ".anim", ".ma", ".mb", ".max", ".bip", ".htr", ".cal", ".mvnx"),
+                    "open it in the program that wrote it, or in Blender, and export the skeleton as BVH"),
+    **dict.fromkeys((".asf", ".amc"), "convert the pair .asf and .amc to BVH (amc2bvh, or Blender's importer)"),
+    **dict.fromkeys((".c3d", ".trc", ".tvd", ".tsv", ".mot"), _MARKERS),
+    **dict.fromkeys((".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".gif", ".png", ".jpg", ".jpeg"), _TRACK),
+    **dict.fromkeys((".csv", ".txt", ".xlsx", ".dat"),
+                    "a table does not say what its columns are: save them by name, poses (T, 3J), trans (T, 3) and "
+                    "mocap_framerate, with numpy.savez"),
+    **dict.fromkeys((".mat", ".h5", ".hdf5", ".parquet", ".feather"),
+                    "save poses (T, 3J), trans (T, 3) and mocap_framerate from it with numpy.savez"),
+    **dict.fromkeys((".zip", ".tar", ".gz", ".tgz", ".xz", ".bz2", ".7z", ".rar", ".zst"), "unpack it first"),
+    **dict.fromkeys((".ply", ".obj", ".stl"), "a mesh says nothing of how joints turn: give the poses it was made of"),
+    ".gavatar": "it is an avatar, not a motion: give it as the avatar and a motion by --motion",
+}  # fmt: skip
+
+
 def _unknown(source: str) -> str:
+    suffix = Path(source).suffix.lower()
+    if suffix in _OTHER_FILES:
+        return f"motion '{source}' cannot be read, {suffix} is no format of motions here: {_OTHER_FILES[suffix]}"
     kinds = {c.name: _class_of(c) for c in MOTIONS}
     names = [name for name, kind in kinds.items() if not kind.suffixes and not kind.folder]
     suffixes = sorted({s for kind in kinds.values() for s in kind.suffixes})

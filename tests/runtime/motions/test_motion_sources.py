@@ -18,7 +18,7 @@ def test_an_unknown_name_lists_names_and_suffixes_and_the_nearest():
 
 
 def test_a_file_of_an_unknown_suffix_and_a_format_name_are_unknown_motions():
-    for source in ("dance.fbx", "amass", "", "."):
+    for source in ("dance.xyz", "amass", "", "."):
         with pytest.raises(UserError, match="unknown motion"):
             read_motion(source)
 

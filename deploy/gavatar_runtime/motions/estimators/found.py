@@ -107,7 +107,10 @@ def _people_in(value: Any) -> int:
         arrays = [as_array(item) for item in items]
         return len(items) if items and all(a is not None and a.ndim > 1 for a in arrays) else 0
     small = array.shape[-2:] in ((3, 3), (3, 2))
-    wide = (array.ndim == 3 and array.shape[-1] >= 60) or (array.ndim == 4 and not small) or array.ndim == 5
+    of_one = array.ndim == 3 and array.shape[1] == 1 < len(array)  # (T, 1, 3J): frames of one person, as smplx has them
+    wide = (
+        (array.ndim == 3 and array.shape[-1] >= 60 and not of_one) or (array.ndim == 4 and not small) or array.ndim == 5
+    )
     return len(array) if wide else 0
 
 

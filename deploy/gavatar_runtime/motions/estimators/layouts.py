@@ -14,6 +14,7 @@ from ..field_reader import as_array
 from ..rotation_kinds import axis_angle
 from ..upright import MEAN_PELVIS
 from .found import CAMERA, STAYS, Found, Person, split_people
+from .single_frames import with_frames
 
 AIST_FPS = 60.0  # of the data set's videos; its files do not say
 EDGE_FPS = 30.0  # of dances by EDGE (Tseng et al. 2023), which are told by their joint positions, full_pose (T, 24, 3)
@@ -118,7 +119,7 @@ def people_by(layout: Layout, content: dict[str, Any], label: str = "") -> Found
     people = []
     split = split_people(fields)
     for number, mine in enumerate(split):
-        mine = layout.change(mine) if layout.change else mine
+        mine = with_frames(layout.change(mine) if layout.change else mine)
         frames, mask = as_array(mine.pop(layout.frames, None)), as_array(mine.pop("track_mask", None))
         person = Person(str(number) if len(split) > 1 else label, mine, frames)
         people.append(_seen(person, mask))

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...errors import UserError
 from ...formats.pickled_values import Unread
+from ..field_names import ROOT_KEYS
 from ..field_reader import as_array
 from ..plausible import check_joints
 from ..refusals import poses_missing, positions_refused, refuse_codes, refuse_others
@@ -16,6 +17,7 @@ from ..rotation_kinds import are_positions
 from .found import Found, Person
 from .frames import collection, phalp, romp
 from .layouts import MOTION_X_FPS, layout_of, people_by
+from .single_frames import lacks_frames
 
 _DEEPEST = 4  # wrappers around what is looked for
 # Motion-X's numbers of a frame, (T, 322): its README
@@ -78,7 +80,7 @@ def _of_dictionary(content: dict, path: Path, rotations: str, depth: int) -> Fou
         return people_by(layout, content)
     refuse_others(path, {str(key): value for key, value in content.items()})
     found = collection(list(content.items()))
-    if found or depth == _DEEPEST:
+    if found or depth == _DEEPEST or set(ROOT_KEYS) & set(content):  # a pelvis without a body is no motion
         return found
     inner = [value for value in content.values() if isinstance(value, (dict, list, tuple, np.ndarray))]
     for value in inner if len(inner) == 1 else [v for v in inner if isinstance(v, dict)]:
@@ -90,6 +92,7 @@ def _of_dictionary(content: dict, path: Path, rotations: str, depth: int) -> Fou
 
 def _of_array(array: np.ndarray, path: Path, rotations: str) -> Found:
     """Of an array without names: Motion-X, or poses alone."""
+    array = array[None] if (array.ndim == 1 and array.size > 3) or lacks_frames(array) else array
     if array.ndim == 2 and array.shape[1] == 322:
         parts = np.split(array, np.cumsum(list(_MOTION_X.values()))[:-1], 1)
         return Found("Motion-X", [Person("", dict(zip(_MOTION_X, parts, strict=True)))], MOTION_X_FPS)
