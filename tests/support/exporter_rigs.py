@@ -109,7 +109,7 @@ EXPORTERS = {
     "Rigify": Exporter(
         "NVlabs/GEM-X #17",
         names("DEF-{1}.{0}", _LR, ("thigh", "shin", "foot", "toe", "shoulder", "upper_arm", "forearm", "hand",
-                                   "f_index.01"), ("DEF-spine", "DEF-spine.001", "DEF-spine.002", "DEF-spine.003", "DEF-spine.004", "DEF-spine.006")),
+                                   "f_index.01"), ("DEF-spine", *(f"DEF-spine.00{n}" for n in (1, 2, 3, 4, 6)))),
         lambda b: with_twists(bones_along(b, "y"), ".001", between=True),
     ),
     "Auto-Rig Pro": Exporter(

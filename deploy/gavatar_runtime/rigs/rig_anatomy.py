@@ -43,6 +43,9 @@ def imagined_stance(bvh: Bvh, mapping: dict[str, int], up: str) -> np.ndarray | 
     for side, sign in SIDES:
         _leg(rig, side)
         _arm(rig, side, sign)
+        for joint, child in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist")):
+            if f"{side}_{child}" in mapping:
+                rig.straighten(f"{side}_{joint}", f"{side}_{child}")
     _feet(rig)
     return rig.start
 

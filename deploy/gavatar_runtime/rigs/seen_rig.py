@@ -67,7 +67,16 @@ class SeenRig:
 
     def follow(self, joint: str, parent: str, frames: np.ndarray) -> None:
         """At rest the joint lies to its parent as it does on average in those frames."""
-        j, k = self.mapping[joint], self.mapping[parent]
+        self._follow(self.mapping[joint], self.mapping[parent], frames)
+
+    def straighten(self, joint: str, child: str) -> None:
+        """Joints between two of a limb, that take a part of its twist, lie to their parents as in the standing frames."""
+        line = self.bvh.line(self.mapping[child])
+        if self.mapping[joint] in line:
+            for k, j in itertools.pairwise(line[line.index(self.mapping[joint]) : -1]):
+                self._follow(j, k, self.standing)
+
+    def _follow(self, j: int, k: int, frames: np.ndarray) -> None:
         local = np.einsum("sba,sbc->ac", self.world[frames, k], self.world[frames, j])
         self.start[j] = self.start[k] @ nearest_rotation(local)
 
