@@ -70,7 +70,7 @@ class SeenRig:
         self._follow(self.mapping[joint], self.mapping[parent], frames)
 
     def straighten(self, joint: str, child: str) -> None:
-        """Joints between two of a limb, that take a part of its twist, lie to their parents as in the standing frames."""
+        """Joints between two of a limb, which share its twist, lie to their parents as in the standing frames."""
         line = self.bvh.line(self.mapping[child])
         if self.mapping[joint] in line:
             for k, j in itertools.pairwise(line[line.index(self.mapping[joint]) : -1]):

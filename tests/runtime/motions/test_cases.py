@@ -4,6 +4,7 @@ sentence that says what it is."""
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import places
@@ -81,6 +82,39 @@ def read(name: str, case: Read) -> Motion:
 def assert_same_walk(motion: Motion, truth: Motion) -> None:
     # 1e-4 m: float32 after a division
     np.testing.assert_allclose(motion.trans - motion.trans[0], truth.trans - truth.trans[0], atol=1e-4)
+
+
+REASONS = {
+    "humanml3d_joints.npy": "joint positions",
+    "positions.npz": "joint positions under the name `poses`",
+    "rate_is_frame_count.npz": "2000 frames a second, as many as it has frames",
+    "smplifyx_vposer.pkl": "a code of VPoser",
+    "frame_time_zero.bvh": "no rate",
+    "six_d.npz": "6D, columns or rows",
+}
+
+
+def outcome(name: str) -> str:
+    """What happens with a case, as the page of motions has it."""
+    case = {**FIELDS, **RIGS, **ODD_REST}.get(name)
+    option = (
+        "" if case is None else "".join(f" with `--set motion.{key}={value}`" for key, value in case.options.items())
+    )
+    refused = f"refused: {REASONS[name]}" if name in REFUSED else ""
+    if case is None:
+        return refused
+    where = "equal to the truth within 1e-4 rad"
+    if name in ODD_REST:
+        where = "limbs within 5 degrees of the truth, twist within 15"
+    told = "" if case.walks else "; stays in place, with a note"
+    return f"{refused + '; ' if refused else ''}{where}{option}{told}"
+
+
+def test_the_page_of_motions_has_the_same_table():
+    page = (places.ROOT / "docs/reference/motions.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `([^`|]+)` \| (.+) \|$", page, re.M))
+    names = {*FIELDS, *RIGS, *ODD_REST, *REFUSED}
+    assert {name: rows.get(name) for name in names} == {name: outcome(name) for name in names}
 
 
 def test_every_case_is_in_the_tables():
