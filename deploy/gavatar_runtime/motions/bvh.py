@@ -88,8 +88,8 @@ class BvhFile(MotionSource):
         notes = []
         if self.config.angles == "degrees" and 0.5 < bvh.largest < FULL_TURN + 1e-3 and len(bvh.root) > 1:
             notes.append(
-                f"no angle is larger than {bvh.largest:.2f}: if these are radians, not degrees, --set "
-                "motion.angles=radians reads them"
+                f"no angle is larger than {bvh.largest:.2f}: if these are radians, not degrees, `angles=radians` "
+                "reads them"
             )
         if not bvh.placed:
             notes.append("no joint has position channels: the person stays in place")
@@ -99,7 +99,7 @@ class BvhFile(MotionSource):
         if loose:
             notes.append(
                 f"joint '{bvh.names[mapping[loose]]}', taken for {loose}, does not hang from the limb's joint above: "
-                "if the limbs move wrongly, say the joints with --set motion.mapping=FILE"
+                "if the limbs move wrongly, say the joints with `mapping=FILE`"
             )
         return notes
 
