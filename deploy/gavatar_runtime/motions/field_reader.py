@@ -70,8 +70,8 @@ class FieldReader:
             raise UserError(f"{name} holds {count} numbers a frame, expected {width // 3 * NUMBERS[kind]}")
         if self.kind == "auto" and kind.startswith("quaternion") and unsure_order(array):
             self.notes.append(
-                f"{key} holds quaternions, it is hard to say in which order: {kind[-4:]} is taken; --set "
-                "motion.rotations=quaternion-wxyz or quaternion-xyzw says it"
+                f"{key} holds quaternions, it is hard to say in which order: {kind[-4:]} is taken; "
+                "`rotations=quaternion-wxyz` or quaternion-xyzw says it"
             )
         values, kind = axis_angle(name, array, kind)
         return np.asarray(values, np.float32), kind

@@ -146,4 +146,4 @@ def test_the_dance_clips_of_motion_x_come_in_another_unit_and_it_is_said(tmp_pat
     """IDEA-Research/Motion-X #10: the clips of AIST had unscaled translations."""
     numbers = made.motion_x({**TRUTH, "trans": TRANS * 95})
     motion = read_motion(write(tmp_path / "a.npy", numbers), up="y")
-    assert any("taken for cm" in note and "--set motion.units=m" in note for note in motion.notes)
+    assert any("taken for cm" in note and "`units=m`" in note for note in motion.notes)

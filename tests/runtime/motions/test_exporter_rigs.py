@@ -63,7 +63,7 @@ def test_angles_in_radians_are_noted_and_read_when_they_are_said_to_be_such(plai
     rows = [row[:3] + [f"{np.radians(float(v)):.9f}" for v in row[3:]] for row in rows]
     path = put(tmp_path / "radians.bvh", head, rows)
     notes = read_motion(path).notes
-    assert any("if these are radians, not degrees, --set motion.angles=radians reads them" in note for note in notes)
+    assert any("if these are radians, not degrees, `angles=radians` reads them" in note for note in notes)
     motion = read_motion(path, angles="radians")
     assert motion.notes == ()
     np.testing.assert_allclose(motion.poses, read_motion(plain).poses, atol=1e-4)
@@ -88,7 +88,7 @@ def test_positions_in_another_unit_than_the_offsets_and_angles_beyond_sense_are_
     head, rows = lines_of(plain)
     far = [[f"{float(v) * 1000:.3f}" for v in row[:3]] + row[3:] for row in rows]
     notes = read_motion(put(tmp_path / "a.bvh", head, far)).notes
-    assert any("another unit than the OFFSETs; --set motion.units=cm" in note for note in notes)
+    assert any("another unit than the OFFSETs; `units=cm`" in note for note in notes)
     with pytest.raises(UserError, match=r"turns a joint by 1e\+30 degrees: these are no angles"):
         read_motion(put(tmp_path / "a.bvh", head, [[*row[:-1], "1e30"] for row in rows]))
 

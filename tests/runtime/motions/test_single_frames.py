@@ -100,7 +100,7 @@ def test_quaternions_whose_order_is_a_guess_are_noted(tmp_path):
     half = np.array([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])  # a quarter turn reads the same from both ends
     np.savez(tmp_path / "a.npz", poses=np.tile(half, (3, 24)), fps=30)
     motion = read_motion(tmp_path / "a.npz", up="y")
-    assert any("in which order: wxyz is taken; --set motion.rotations=quaternion-wxyz or" in n for n in motion.notes)
+    assert any("in which order: wxyz is taken; `rotations=quaternion-wxyz` or" in n for n in motion.notes)
 
 
 def test_rotations_beyond_half_a_turn_are_noted_as_degrees_perhaps(tmp_path):
@@ -108,7 +108,7 @@ def test_rotations_beyond_half_a_turn_are_noted_as_degrees_perhaps(tmp_path):
     small[:, 1:] = np.degrees(POSES[:, 1:] * 0.1)  # degrees of somebody who hardly moves
     np.savez(tmp_path / "a.npz", poses=small.reshape(12, -1), fps=30)
     notes = read_motion(tmp_path / "a.npz", up="y").notes
-    assert any("half a turn" in note and "--set motion.rotations=degrees" in note for note in notes)
+    assert any("half a turn" in note and "`rotations=degrees`" in note for note in notes)
 
 
 @pytest.mark.parametrize("rate", ["30", b"30"])
