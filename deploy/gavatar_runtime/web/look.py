@@ -1,0 +1,98 @@
+"""What the web player draws of an avatar: a still set of Gaussians, and the residuals of the pose as bases.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ..avatar.playing import Avatar
+from ..avatar.pose_blendshapes import MEMBER as POSE_BLENDSHAPES
+from ..decoding.detail import point_spacing
+from ..errors import WrongValue
+from ..geometry.kinematics import invert_rigid
+from ..motions.builtin import relaxed_pose
+from ..tiers import Parts, build_tier, stored_tiers
+from ..tiers.members import BLENDSHAPE
+from ..values.motion import Motion
+
+PLAYED = ("blendshape", "baked")  # tiers that a page can play without a network, the best first
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Look:
+    """N Gaussians of an avatar in its canonical pose, and what a pose does to them.
+
+    tier: the one it was taken from. points: (N, 3) metres. colors: (N, 3) in [0, 1]. scales, spacing: (N,) metres.
+    joint_index, joint_weight: (N, K). parents: (J,). rest: (J, 3) metres. inverse: (J, 3, 4), canonical to rest.
+    relaxed: (J, 3) axis-angle of standing at ease. residual: the arrays of blendshape.npz, None for one look for all
+    poses. pixel: metres that a training pixel spanned, or None. notes: what the page leaves out, a sentence each.
+    """
+
+    name: str
+    tier: str
+    points: np.ndarray
+    colors: np.ndarray
+    scales: np.ndarray
+    spacing: np.ndarray
+    joint_index: np.ndarray
+    joint_weight: np.ndarray
+    joint_names: tuple[str, ...]
+    parents: np.ndarray
+    rest: np.ndarray
+    inverse: np.ndarray
+    relaxed: np.ndarray
+    pixel: float | None
+    residual: dict[str, np.ndarray] | None
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def read_look(avatar: Avatar, tier: str | None = None) -> Look:
+    """The look of an avatar with all Gaussians of its bundle; see `Look`.
+
+    tier: `blendshape` or `baked`, None for the best of these that the bundle holds, or for the only look of an avatar
+    that has one for all poses. Raises WrongValue for another tier, and for a bundle whose look moves with the pose and
+    that holds neither.
+    """
+    stored = stored_tiers(avatar.bundle)
+    played = [name for name in PLAYED if name in stored] or ([] if avatar.dynamic else [stored[0]])
+    if tier is not None and tier not in played:
+        raise WrongValue(f"`tier={tier}`: a web page plays {' or '.join(played or PLAYED)} of this bundle")
+    if not played:
+        raise WrongValue(
+            f"{avatar.bundle.path} holds no tier that a web page can play without its networks: export it again with "
+            "gavatar-export RUN --tiers blendshape"
+        )
+    name = tier or played[0]
+    surface, maps = avatar.bundle.surfaces()
+    parts = Parts(avatar.bundle, surface, maps)
+    pose = _relaxed(avatar)
+    source = "baked" if name == "blendshape" else name
+    points, colors, scales = (np.array(a) for a in build_tier(source, parts)(pose))
+    residual = None
+    if name == "blendshape":
+        residual = parts.arrays(BLENDSHAPE)
+        residual["part"], residual["basis"] = parts.take(residual["part"]), parts.take(residual["basis"])
+    return Look(
+        avatar.name, name, points, colors, scales, point_spacing(surface).astype(np.float32), surface.joint_index,
+        surface.joint_weight, avatar.joint_names, surface.parents, surface.joints,
+        invert_rigid(surface.A_canonical)[:, :3], pose, avatar.pixel, residual, _left_out(avatar),
+    )  # fmt: skip
+
+
+def _relaxed(avatar: Avatar) -> np.ndarray:
+    pose = relaxed_pose()[None].astype(np.float32)
+    return avatar.fit(Motion(pose, np.zeros((1, 3), np.float32), 1.0))[0].poses[0]
+
+
+def _left_out(avatar: Avatar) -> tuple[str, ...]:
+    notes = []
+    if avatar.expression is not None:
+        notes.append("the page plays no facial expressions: the face keeps its look at rest")
+    if POSE_BLENDSHAPES in avatar.bundle.manifest.members:
+        notes.append("the page leaves out the body's pose blendshapes, which move its skin by millimetres")
+    return tuple(notes)

@@ -1,0 +1,1 @@
+"""The files of the browser player; `gavatar_runtime.web.page` puts them together."""
