@@ -25,6 +25,17 @@ def parse_settings(settings: Iterable[str]) -> dict[str, dict[str, Any]]:
     return options
 
 
+def parse_options(settings: Iterable[str]) -> dict[str, Any]:
+    """`KEY=VALUE` as options; values as in `parse_settings`."""
+    options: dict[str, Any] = {}
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        if not equals or not key.isidentifier():
+            raise UserError(f"--set {setting}: expected KEY=VALUE")
+        options[key] = _value(text)
+    return options
+
+
 def _value(text: str) -> Any:
     """A whole number, a number, true or false where the text looks like one, else the text."""
     if text.lower() in ("true", "false"):

@@ -1,5 +1,4 @@
-"""What the web player draws of an avatar: a still set of Gaussians, and the residuals of the pose as bases.
-"""
+"""What the web player draws of an avatar: a still set of Gaussians, and the residuals of the pose as bases."""
 
 from __future__ import annotations
 
@@ -9,13 +8,14 @@ import numpy as np
 
 from ..avatar.playing import Avatar
 from ..avatar.pose_blendshapes import MEMBER as POSE_BLENDSHAPES
-from ..decoding.detail import point_spacing
+from ..decoding.detail import SPREAD, grown, point_spacing
 from ..errors import WrongValue
 from ..geometry.kinematics import invert_rigid
 from ..motions.builtin import relaxed_pose
 from ..tiers import Parts, build_tier, stored_tiers
 from ..tiers.members import BLENDSHAPE
 from ..values.motion import Motion
+from .ordering import progressive_order
 
 PLAYED = ("blendshape", "baked")  # tiers that a page can play without a network, the best first
 
@@ -49,6 +49,24 @@ class Look:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def thinned(self, count: int) -> Look:
+        """With the first `count` Gaussians of the progressive order, each grown as the gaps ask for; as it is where it
+        has no more. Raises WrongValue for fewer than one."""
+        if count < 1:
+            raise WrongValue(f"`gaussians={count}`: give a whole number from 1 up")
+        if count >= len(self):
+            return self
+        rows = np.sort(progressive_order(self.points)[:count])
+        added = np.square(SPREAD * self.spacing[rows]) * (len(self) / count - 1)
+        residual = self.residual
+        if residual is not None:
+            residual = {**residual, **{name: residual[name][rows] for name in ("part", "basis")}}
+        return dataclasses.replace(
+            self, points=self.points[rows], colors=self.colors[rows], scales=grown(self.scales[rows], added),
+            spacing=self.spacing[rows] * np.sqrt(len(self) / count).astype(np.float32),
+            joint_index=self.joint_index[rows], joint_weight=self.joint_weight[rows], residual=residual,
+        )  # fmt: skip
 
 
 def read_look(avatar: Avatar, tier: str | None = None) -> Look:

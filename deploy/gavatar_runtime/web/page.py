@@ -72,3 +72,8 @@ def folder_page() -> bytes:
     """The page of a folder that has `gavatar.js` and `avatar.bin` beside it."""
     body = '<script type="module">\nimport { openPage } from "./gavatar.js";\nopenPage("avatar.bin");\n</script>\n'
     return page(body).encode()
+
+
+def three_page() -> bytes:
+    """The page that shows the avatar of its folder in a scene of three.js."""
+    return asset("three.html").encode()
