@@ -1,0 +1,60 @@
+"""`gavatar-view NAME.gavatar`: a page that shows an avatar, drawn by this machine. Loads no torch."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import webbrowser
+
+from ..errors import exit_cleanly, options_spelled
+from .settings import as_flags
+
+DESCRIPTION = "Look at an avatar in a browser: turn it, play its motions, drop motion files on it. Nothing to install."
+EPILOG = """examples
+  gavatar-view anna.gavatar
+  gavatar-view anna.gavatar --motion dance.npz,wave
+  gavatar-view anna.gavatar --port 8000 --no-browser      on another machine; from yours:
+                                                           ssh -L 8000:127.0.0.1:8000 THAT_MACHINE
+The page is served to this machine alone, at the address that is printed. --host opens it to others, who need the
+whole address: it has a token. End it with Ctrl+C.
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    p = argparse.ArgumentParser(
+        "gavatar-view", description=DESCRIPTION, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    p.add_argument("avatar", metavar="NAME.gavatar", help="bundle that gavatar-export wrote, zipped or unpacked")
+    p.add_argument("--motion", metavar="NAME,FILE", default="", help="more motions; the first plays")
+    p.add_argument("--host", default="127.0.0.1", help="address to listen on (default: 127.0.0.1, this machine alone)")
+    p.add_argument("--port", type=int, default=0, help="port to listen on (default: any that is free)")
+    p.add_argument("--no-browser", action="store_true", help="only print the address")
+    p.add_argument("--threads", type=int, metavar="N", help="CPU threads (default: all cores)")
+    return p
+
+
+@exit_cleanly
+def main(argv: list[str] | None = None) -> int:
+    """Console entry point."""
+    arguments = parser().parse_args(argv)
+    from ..bundle import read_bundle
+    from ..view.scene import Scene
+    from ..view.server import Viewer
+
+    with options_spelled(as_flags(vars(arguments))):
+        scene = Scene(read_bundle(arguments.avatar), [m for m in arguments.motion.split(",") if m], arguments.threads)
+        viewer = Viewer(scene, arguments.host, arguments.port)
+    with viewer:
+        print(f"{scene.bundle.manifest.name}: {viewer.address}", flush=True)
+        if not arguments.no_browser and not webbrowser.open(viewer.address):
+            print("note: no browser could be started: open the address yourself", file=sys.stderr)
+        try:
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            print()
+    return 0
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,221 @@
+"""What the viewer draws from: an avatar in its tiers and levels of detail, motions, and a page's wishes checked."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import dataclasses
+import math
+import tempfile
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from ..avatar.playing import Avatar
+from ..bundle import Bundle
+from ..decoding.detail import uv_for_count
+from ..errors import UserError, WrongValue, did_you_mean
+from ..motions import MOTIONS, read_motion
+from ..play.framing import body_points, facing
+from ..render.renderer import Renderer
+from ..tiers import stored_tiers
+from ..values.camera import Camera
+from ..values.motion import Motion
+
+MOST = 2048  # pixels of a side that a page may ask for
+KEPT = 3  # avatars at a tier and a level of detail that stay open
+BODY_POINTS = 4000  # that tell a page where the person is in a motion
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Wish:
+    """A frame that a page asks for: motion by name, seconds from its start, camera, background sRGB in [0, 1], tier and
+    number of Gaussians, None for all."""
+
+    motion: str
+    time: float
+    camera: Camera
+    background: tuple[float, float, float]
+    tier: str
+    gaussians: int | None
+
+    @classmethod
+    def of(cls, message: Mapping[str, Any]) -> Wish:
+        """What a message of the page says. Raises WrongValue for a field that is missing or cannot be."""
+        width, height = (_whole(message, name, 1, MOST) for name in ("width", "height"))
+        given = message.get("camera")
+        if not isinstance(given, Mapping):
+            raise WrongValue("`camera` is missing")
+        view = _numbers(given, "view", (12, 16))
+        fx, fy, cx, cy = (_number(given, name) for name in ("fx", "fy", "cx", "cy"))
+        if not (fx > 0 and fy > 0):
+            raise WrongValue("`camera` has a focal length that is not positive")
+        T = np.eye(4)
+        T[:3] = np.reshape(view[:12], (3, 4))
+        if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-3:
+            raise WrongValue("`camera` has a view that is no rotation")
+        r, g, b = np.clip(_numbers(message, "background", (3,)), 0, 1).tolist()
+        count = message.get("gaussians")
+        return cls(
+            _text(message, "motion"), _number(message, "time"), Camera(width, height, fx, fy, cx, cy, T), (r, g, b),
+            _text(message, "tier"), None if count is None else _whole(message, "gaussians", 1, 1 << 31),
+        )  # fmt: skip
+
+
+class Scene:
+    """An avatar and motions, drawn for one page at a time.
+
+    bundle: of the avatar. motions: names of built-in ones and files. threads: that decode and draw. Its methods may be
+    called from any thread; one draws while others wait.
+    """
+
+    def __init__(self, bundle: Bundle, motions: Sequence[str | Path | Motion] = (), threads: int | None = None):
+        self.bundle, self.threads = bundle, threads
+        self.body = Avatar(bundle, tier=None)
+        self.tiers = stored_tiers(bundle)
+        self.lock = threading.RLock()
+        self._motions: dict[str, Motion] = {}
+        self._given: dict[str, str | Path] = {}
+        self._open: collections.OrderedDict[tuple[str, int | None], Renderer] = collections.OrderedDict()
+        for motion in motions:
+            self.add(motion)
+        for name in _built_in():
+            self._given.setdefault(name, name)
+
+    @property
+    def motion_names(self) -> list[str]:
+        """Of all motions that can be played, those given first."""
+        return list(self._given)
+
+    def add(self, motion: str | Path | Motion) -> tuple[str, tuple[str, ...]]:
+        """Read a motion and keep it under a name of its own; that name, and what there is to note."""
+        read = motion if isinstance(motion, Motion) else read_motion(motion)
+        fitted, lacking = self.body.fit(read)
+        notes = [*read.notes]
+        if lacking:
+            notes.append(f"the body has no {', '.join(lacking)}: what '{read.name}' does there is left out")
+        with self.lock:
+            self._given[read.name] = read.name
+            self._motions[read.name] = fitted
+        return read.name, tuple(notes)
+
+    def add_file(self, name: str, data: bytes) -> tuple[str, tuple[str, ...]]:
+        """A motion that a page sent, by the name its file had there; the file is written nowhere that stays."""
+        plain = Path(name.replace("\\", "/")).name
+        suffix = Path(plain).suffix.lower()
+        if not plain or plain.startswith(".") or len(plain) > 200 or not suffix[1:].isalnum():
+            raise WrongValue(f"'{name[:60]}' is no name of a motion file")
+        with tempfile.TemporaryDirectory(prefix="gavatar-view-") as folder:
+            path = Path(folder, "motion" + suffix)
+            path.write_bytes(data)
+            try:
+                motion = read_motion(path)
+            except UserError as error:
+                raise type(error)(str(error).replace(str(path), plain)) from None
+        notes = tuple(note.replace(str(path), plain) for note in motion.notes)
+        return self.add(dataclasses.replace(motion, name=Path(plain).stem, notes=notes))
+
+    def motion(self, name: str) -> Motion:
+        """Fitted to the body. Raises WrongValue for a name that is not in `motion_names`."""
+        with self.lock:
+            if name not in self._given:
+                raise WrongValue(f"no motion '{name}': {did_you_mean(name, self._given)}")
+            if name not in self._motions:
+                self.add(self._given[name])
+            return self._motions[name]
+
+    def described(self, name: str) -> dict[str, Any]:
+        """What a page wants to know of a motion: name, fps, count of frames, and where the person is in it."""
+        motion = self.motion(name)
+        points = body_points(self.body, motion)
+        points = points[:: max(1, len(points) // BODY_POINTS)]
+        low, high = points.min(0), points.max(0)
+        extent = {
+            "points": np.round(points, 4).tolist(), "low": low.tolist(), "high": high.tolist(),
+            "center": ((low + high) / 2).tolist(), "facing": facing(motion),
+        }  # fmt: skip
+        return {"name": name, "fps": motion.fps, "count": len(motion), "extent": extent}
+
+    def draw(self, wish: Wish) -> tuple[np.ndarray, dict[str, float], int]:
+        """(H, W, 3) uint8, milliseconds of each stage, and how many Gaussians were drawn."""
+        motion = self.motion(wish.motion)
+        start = perf_counter()
+        pose, trans, expression = _at(motion, wish.time)
+        with self.lock:
+            renderer = self._renderer(wish.tier, wish.gaussians)
+            gaussians = renderer.gaussians(pose, trans, expression, camera=wish.camera)
+            image = renderer.rasterize_uint8(gaussians, wish.camera, wish.background).copy()
+            stages = {name: 1000 * seconds for name, seconds in renderer.stage_seconds.items()}
+        stages["all"] = 1000 * (perf_counter() - start)
+        return image, stages, len(gaussians)
+
+    def _renderer(self, tier: str, gaussians: int | None) -> Renderer:
+        if tier not in self.tiers:
+            raise WrongValue(f"no tier '{tier}': {did_you_mean(tier, self.tiers)}")
+        every = self.bundle.manifest.gaussians
+        uv = None if gaussians is None or gaussians >= every else self._level(gaussians)
+        key = tier, uv
+        if key not in self._open:
+            avatar = Avatar(self.bundle, tier=tier, uv=uv, threads=self.threads)
+            self._open[key] = Renderer(avatar, threads=self.threads)
+            while len(self._open) > KEPT:
+                self._open.popitem(last=False)
+        self._open.move_to_end(key)
+        return self._open[key]
+
+    def _level(self, gaussians: int) -> int | None:
+        """The side of the atlas that keeps at most so many, the coarsest there is where even that keeps more; in steps
+        of a sixteenth, so that dragging a slider does not open a hundred avatars."""
+        surface = self.body.surface
+        whole = surface.resolution
+        with contextlib.suppress(WrongValue):
+            return max(64, uv_for_count(surface, gaussians) // (step := max(1, whole // 16)) * step)
+        return 64 if whole > 64 else None
+
+
+def _built_in() -> list[str]:
+    return [component.name for component in MOTIONS if not component.factory.suffixes]
+
+
+def _at(motion: Motion, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """The pose at a time in seconds, between frames as `Motion.resampled` has it."""
+    place = min(max(time * motion.fps, 0.0), len(motion) - 1.0)
+    low = min(int(place + 1e-6), len(motion) - 1)
+    share = place - low
+    if share < 1e-6 or low + 1 >= len(motion):
+        return motion.at(low)
+    pair = dataclasses.replace(motion.taken([low, low + 1]), fps=1.0)
+    # a rate at which the second frame stands at the wanted share
+    return pair.resampled(1.0 / share).at(1)
+
+
+def _text(message: Mapping[str, Any], name: str) -> str:
+    value = message.get(name)
+    if not isinstance(value, str) or len(value) > 500:
+        raise WrongValue(f"`{name}` is no text")
+    return value
+
+
+def _number(message: Mapping[str, Any], name: str) -> float:
+    value = message.get(name)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise WrongValue(f"`{name}` is no number")
+    return float(value)
+
+
+def _whole(message: Mapping[str, Any], name: str, low: int, high: int) -> int:
+    value = _number(message, name)
+    if not low <= value <= high:
+        raise WrongValue(f"`{name}={value:g}`: give a whole number from {low} to {high}")
+    return int(value)
+
+
+def _numbers(message: Mapping[str, Any], name: str, lengths: Sequence[int]) -> np.ndarray:
+    value = message.get(name)
+    if not isinstance(value, list) or len(value) not in lengths:
+        raise WrongValue(f"`{name}` is no list of {' or '.join(map(str, lengths))} numbers")
+    return np.array([_number({name: number}, name) for number in value])

@@ -1,0 +1,260 @@
+"""The viewer's server: the page over HTTP and frames over a WebSocket, on this machine alone unless asked.
+
+What it lets in: requests with its token, that name it by an address it is bound to (so that no other site's name can
+be made to point at it), and WebSockets that its own page opened. It serves the page and what the scene draws; no path
+of a request ever becomes one of a file.
+"""
+
+from __future__ import annotations
+
+import hmac
+import http.server
+import json
+import secrets
+import socket
+import struct
+import threading
+import urllib.parse
+from typing import Any
+
+from ..errors import UserError, WrongValue
+from .page import viewer_page
+from .pictures import encoded
+from .scene import MOST, Scene, Wish
+from .websocket import Closed, WebSocket, accept_key
+
+LOOPBACK = "127.0.0.1"
+NAMES = ("127.0.0.1", "localhost", "[::1]")  # of the loopback address, which a browser may call it by
+TEXT_MOST, MOST_BYTES = 1 << 16, 1 << 26  # of a message: wishes, and motion files
+IDLE = 3600  # seconds after which a connection without a word is closed
+CONNECTIONS = 16
+
+
+class Viewer:
+    """A server that is running, in threads of its own.
+
+    scene: what is drawn. host: the address to listen on; port: 0 for any that is free. Raises UserError where that
+    address cannot be had.
+    """
+
+    def __init__(self, scene: Scene, host: str = LOOPBACK, port: int = 0):
+        self.scene = scene
+        self.token = secrets.token_urlsafe(16)
+        self.host = host
+        try:
+            self._server = _Server((host, port), self)
+        except (OSError, OverflowError) as error:
+            raise UserError(f"cannot listen on {host}:{port}: {getattr(error, 'strerror', None) or error}") from None
+        self.port = int(self._server.server_address[1])
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page, token included."""
+        host = socket.gethostname() if self.host in ("", "0.0.0.0", "::") else self.host
+        return f"http://{host}:{self.port}/?token={self.token}"
+
+    def allows(self, host: str) -> bool:
+        """Whether a request may call the server so: by the address it is bound to, or any where it is bound to all,
+        which only an address with the token reaches."""
+        name, _, port = host.rpartition(":")
+        if port != str(self.port):
+            return False
+        if self.host in (LOOPBACK, "localhost", "::1"):
+            return name in NAMES
+        return name == self.host or self.host in ("", "0.0.0.0", "::")
+
+    def close(self) -> None:
+        """End the server and its connections."""
+        self._server.shutdown()
+        self._server.server_close()
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def _repr_html_(self) -> str:
+        """In a notebook: the page in a frame."""
+        return (
+            f'<iframe src="{self.address}" width="100%" height="640" style="border: 0" '
+            'allow="clipboard-write; fullscreen"></iframe>'
+        )
+
+
+class _Server(http.server.ThreadingHTTPServer):
+    daemon_threads = True
+    request_queue_size = 32
+
+    def __init__(self, address: tuple[str, int], viewer: Viewer):
+        self.viewer = viewer
+        self.connections = threading.BoundedSemaphore(CONNECTIONS)
+        if ":" in address[0]:
+            self.address_family = socket.AF_INET6
+        super().__init__(address, _Handler)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that is gone is nobody's fault; anything else is a bug and keeps its traceback."""
+        import sys
+
+        if not isinstance(sys.exc_info()[1], (ConnectionError, TimeoutError)):
+            super().handle_error(request, client_address)
+
+
+class _Handler(http.server.BaseHTTPRequestHandler):
+    server: _Server
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "gavatar", ""
+    timeout = 30
+
+    def do_GET(self) -> None:
+        viewer = self.server.viewer
+        parsed = urllib.parse.urlsplit(self.path)
+        if not viewer.allows(self.headers.get("Host", "")):
+            self._refuse(403, "this address is not the viewer's own")
+        elif parsed.path not in ("/", "/socket"):
+            self._refuse(404, "nothing here")
+        elif not self._has_token(parsed.query):
+            self._refuse(403, "the address lacks the viewer's token: open the one that gavatar-view printed")
+        elif parsed.path == "/":
+            self._send(200, viewer_page(), "text/html; charset=utf-8")
+        else:
+            self._socket(viewer)
+
+    def _has_token(self, query: str) -> bool:
+        given = urllib.parse.parse_qs(query, max_num_fields=8).get("token", [""])[0]
+        return hmac.compare_digest(given.encode(), self.server.viewer.token.encode())
+
+    def _socket(self, viewer: Viewer) -> None:
+        origin = urllib.parse.urlsplit(self.headers.get("Origin", ""))
+        if origin.scheme != "http" or origin.netloc != self.headers.get("Host"):
+            self._refuse(403, "only the viewer's own page may connect")
+            return
+        try:
+            if self.headers.get("Upgrade", "").lower() != "websocket" or self.headers["Sec-WebSocket-Version"] != "13":
+                raise ValueError("no WebSocket of version 13")
+            answer = accept_key(self.headers["Sec-WebSocket-Key"] or "")
+        except ValueError:
+            self._refuse(400, "this address is for WebSockets")
+            return
+        if not self.server.connections.acquire(blocking=False):
+            self._refuse(503, f"{CONNECTIONS} pages are open already: close some")
+            return
+        try:
+            self.send_response(101)
+            for name, value in (("Upgrade", "websocket"), ("Connection", "Upgrade"), ("Sec-WebSocket-Accept", answer)):
+                self.send_header(name, value)
+            self.end_headers()
+            self.close_connection = True
+            self.connection.settimeout(IDLE)
+            self.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            serve(WebSocket(self.rfile, self.wfile, MOST_BYTES, TEXT_MOST), viewer.scene)
+        finally:
+            self.server.connections.release()
+
+    def _refuse(self, status: int, sentence: str) -> None:
+        self.close_connection = True
+        self._send(status, (sentence + "\n").encode(), "text/plain; charset=utf-8")
+
+    def _send(self, status: int, data: bytes, kind: str) -> None:
+        self.send_response(status)
+        headers = {
+            "Content-Type": kind, "Content-Length": str(len(data)), "Cache-Control": "no-store",
+            "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
+        }  # fmt: skip
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(data)
+
+    def log_message(self, format: str, *arguments: Any) -> None:
+        """A viewer keeps no log of requests."""
+
+
+def serve(connection: WebSocket, scene: Scene) -> None:
+    """Answer the page's messages until it leaves. A message that is none of ours ends the connection."""
+    try:
+        while True:
+            message = connection.receive()
+            try:
+                if isinstance(message, str):
+                    _answer(connection, scene, _object(message))
+                else:
+                    _take_file(connection, scene, message)
+            except _Malformed as error:
+                connection.close(1008, str(error))
+                return
+    except Closed:
+        return
+
+
+class _Malformed(Exception):
+    """No message that the page sends."""
+
+
+def _object(text: str) -> dict[str, Any]:
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError):
+        raise _Malformed("no JSON") from None
+    if not isinstance(message, dict) or not isinstance(message.get("id"), int):
+        raise _Malformed("no message")
+    return message
+
+
+def _answer(connection: WebSocket, scene: Scene, message: dict[str, Any]) -> None:
+    doing, number = message.get("do"), message["id"]
+    try:
+        if doing == "draw":
+            _send_frame(connection, scene, message)
+            return
+        if doing == "hello":
+            result = _hello(scene)
+        elif doing == "motion":
+            name = message.get("name")
+            result = scene.described(name if isinstance(name, str) else "")
+        else:
+            raise _Malformed("an unknown message")
+        connection.send_text(json.dumps({"id": number, **result}))
+    except UserError as error:
+        connection.send_text(json.dumps({"id": number, "error": str(error)}))
+
+
+def _hello(scene: Scene) -> dict[str, Any]:
+    bundle = scene.bundle
+    return {
+        "name": bundle.manifest.name, "path": str(bundle.path), "gaussians": bundle.manifest.gaussians,
+        "tiers": scene.tiers, "tier": scene.tiers[0], "motions": scene.motion_names, "most": MOST,
+    }  # fmt: skip
+
+
+def _send_frame(connection: WebSocket, scene: Scene, message: dict[str, Any]) -> None:
+    wish = Wish.of(message)
+    image, stages, count = scene.draw(wish)
+    kind, data = encoded(image)
+    head = {
+        "id": message["id"], "kind": kind, "width": image.shape[1], "height": image.shape[0], "gaussians": count,
+        "stages": {name: round(ms, 2) for name, ms in stages.items()},
+    }  # fmt: skip
+    text = json.dumps(head).encode()
+    connection.send_bytes(struct.pack("<I", len(text)), text, data)
+
+
+def _take_file(connection: WebSocket, scene: Scene, data: bytes) -> None:
+    """A motion file: the length of a header as four bytes, the header {id, name} and the file."""
+    length = int.from_bytes(data[:4], "little")
+    if len(data) < 4 or length > 4096 or 4 + length > len(data):
+        raise _Malformed("no file")
+    try:
+        head = _object(data[4 : 4 + length].decode("utf-8"))
+    except UnicodeDecodeError:
+        raise _Malformed("no file") from None
+    try:
+        if not isinstance(head.get("name"), str):
+            raise WrongValue("the file has no name")
+        name, notes = scene.add_file(head["name"], data[4 + length :])
+        connection.send_text(json.dumps({"id": head["id"], "name": name, "notes": notes}))
+    except UserError as error:
+        connection.send_text(json.dumps({"id": head["id"], "error": str(error)}))

@@ -1,0 +1,147 @@
+// What the page draws with where a server does: frames over a WebSocket, each asked for when the last was shown.
+import { Controls } from "./controls.js";
+
+const ASKED = 2; // frames under way: one travels while the next is drawn
+
+export class RemoteEngine {
+  constructor(canvas, address) {
+    this.canvas = canvas;
+    this.context = canvas.getContext("2d", { alpha: false });
+    this.address = address;
+    this.number = 0;
+    this.answers = new Map();
+    this.asked = 0;
+    this.frames = 0;
+    this.last = 0;
+    this.stages = {};
+    this.gaussians = 0;
+    this.onchange = () => {};
+    this.onlost = () => {};
+  }
+
+  async open() {
+    this.socket = new WebSocket(this.address);
+    this.socket.binaryType = "arraybuffer";
+    await new Promise((resolve, reject) => {
+      this.socket.onopen = resolve;
+      this.socket.onerror = () => reject(new Error("the viewer's server does not answer: is gavatar-view still running?"));
+    });
+    this.socket.onmessage = ({ data }) => (typeof data === "string" ? this.told(JSON.parse(data)) : this.frame(data));
+    this.socket.onclose = () => this.lost();
+    this.info = await this.ask({ do: "hello" });
+    this.gaussians = this.info.gaussians;
+    return this;
+  }
+
+  lost() {
+    const error = new Error("the connection to gavatar-view has ended: start it again and reload this page");
+    this.answers.forEach(({ reject }) => reject(error));
+    this.answers.clear();
+    this.onlost(error);
+  }
+
+  ask(message, ...parts) {
+    const id = ++this.number;
+    const answer = new Promise((resolve, reject) => this.answers.set(id, { resolve, reject }));
+    if (!parts.length) this.socket.send(JSON.stringify({ id, ...message }));
+    else {
+      const head = new TextEncoder().encode(JSON.stringify({ id, ...message }));
+      this.socket.send(new Blob([new Uint32Array([head.length]), head, ...parts]));
+    }
+    return answer;
+  }
+
+  told({ id, ...result }) {
+    const waiting = this.answers.get(id);
+    if (!waiting) return;
+    this.answers.delete(id);
+    if ("error" in result) waiting.reject(new Error(result.error));
+    else waiting.resolve(result);
+  }
+
+  ready() { return this.asked < ASKED && this.socket.readyState === WebSocket.OPEN; }
+
+  motion(name) { return this.ask({ do: "motion", name }); }
+
+  async addFile(file) {
+    const { name, notes } = await this.ask({ name: file.name }, file);
+    if (!this.info.motions.includes(name)) this.info.motions.push(name);
+    this.notes = notes;
+    return name;
+  }
+
+  draw(view) {
+    this.asked++;
+    const { orbit, ...wish } = view;
+    this.ask({ do: "draw", ...wish }).catch((error) => { this.asked--; this.onlost(error); });
+  }
+
+  async frame(data) {
+    const length = new DataView(data).getUint32(0, true);
+    const head = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+    const bytes = new Uint8Array(data, 4 + length);
+    this.answers.delete(head.id);
+    const picture = head.kind === "jpeg" ? await createImageBitmap(new Blob([bytes], { type: "image/jpeg" })) : pixels(head, bytes);
+    this.asked--;
+    if (head.id > this.last) { // decoding may end in another order
+      this.last = head.id;
+      this.show(head, picture);
+    }
+    this.onchange();
+  }
+
+  show(head, picture) {
+    const { canvas, context } = this;
+    if (canvas.width !== head.width || canvas.height !== head.height) {
+      canvas.width = head.width;
+      canvas.height = head.height;
+    }
+    if (picture instanceof ImageData) context.putImageData(picture, 0, 0);
+    else { context.drawImage(picture, 0, 0); picture.close(); }
+    this.frames++;
+    this.stages = head.stages;
+    this.gaussians = head.gaussians;
+  }
+
+  picture() { return new Promise((resolve) => this.canvas.toBlob(resolve, "image/png")); }
+
+  stats() { return { drawn: this.frames, stages: this.stages, gaussians: this.gaussians }; }
+
+  command(view) {
+    const degrees = ((view.orbit.azimuth * 180) / Math.PI).toFixed(0);
+    const path = /^[\w./-]+$/.test(this.info.path) ? this.info.path : `'${this.info.path}'`;
+    return `gavatar-play ${path} --motion ${view.motion} --tier ${view.tier} --camera ${degrees}`;
+  }
+}
+
+function pixels({ width, height }, bytes) {
+  const image = new ImageData(width, height);
+  for (let i = 0, k = 0; i < bytes.length; i += 3, k += 4) {
+    image.data[k] = bytes[i];
+    image.data[k + 1] = bytes[i + 1];
+    image.data[k + 2] = bytes[i + 2];
+    image.data[k + 3] = 255;
+  }
+  return image;
+}
+
+// Connects to the server that this page came from.
+export async function openViewer() {
+  const find = (name) => document.querySelector(`[data-part="${name}"]`);
+  const token = new URLSearchParams(location.search).get("token");
+  const engine = new RemoteEngine(find("canvas"), `ws://${location.host}/socket?token=${encodeURIComponent(token)}`);
+  const tell = (error) => {
+    const line = document.createElement("p");
+    line.className = "wrong";
+    line.textContent = error.message;
+    find("notes").replaceChildren(line);
+  };
+  engine.onlost = tell;
+  try {
+    await engine.open();
+    window.controls = new Controls(engine);
+    await window.controls.play(engine.info.motions[0]);
+  } catch (error) {
+    tell(error);
+  }
+}
