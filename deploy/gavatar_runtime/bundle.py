@@ -30,9 +30,9 @@ from typing import Any
 import numpy as np
 
 from .errors import MissingFile, UserError, cannot_read
-from .formats.array_rules import Rule, checked
 from .formats.bounded import arrays_of_npz, read_zipped
 from .formats.files import atomic
+from .values.array_rules import Rule, checked
 from .values.body import Hands
 from .values.surface import SURFACE_RULES, Surface
 from .version import __version__

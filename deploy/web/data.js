@@ -1,4 +1,4 @@
-// The web avatar's data: a header and gzipped blocks, which arrive one after another. web/packing.py writes them.
+// The web avatar's data: a header and gzipped blocks, which arrive one after another. web/web_data.py writes them.
 
 export const MAGIC = "GAVATWEB";
 

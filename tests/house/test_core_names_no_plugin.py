@@ -22,6 +22,7 @@ from gavatar_runtime.tiers import player_tiers
 
 RUNTIME, LIBRARY = ROOT / "deploy" / "gavatar_runtime", ROOT / "gavatar"
 ROOMS = (RUNTIME / "motions", RUNTIME / "tiers", RUNTIME / "render" / "rasterizers", RUNTIME / "play" / "outputs")
+ROOMS = (*ROOMS, RUNTIME / "conversions")
 NO_CORE = (*ROOMS, LIBRARY / "demo.py")
 GROUPS = {registry.group for registry in REGISTRIES}
 

@@ -12,7 +12,7 @@ from places import ROOT
 HOMES = (ROOT / "deploy" / "gavatar_runtime", ROOT / "gavatar", ROOT / "gavatar_plugins")
 # where an attribute is asked for that may be missing, and why
 ALLOWED = {
-    ("deploy/gavatar_runtime/decoding/network.py", "sched_getaffinity"): "not of every operating system",
+    ("deploy/gavatar_runtime/cpus.py", "sched_getaffinity"): "not of every operating system",
     ("gavatar/training/precision.py", "get_capabilities"): "not of every torch that is supported",
     ("gavatar/assemble.py", "member"): "a network that has more than its traits declare is refused",
 }

@@ -15,7 +15,7 @@ import pytest
 from fetched_wheels import OFFLINE
 from places import ROOT
 
-RUNTIME_COMMANDS = {"gavatar-play", "gavatar-motion", "gavatar-list"}
+RUNTIME_COMMANDS = {"gavatar-convert", "gavatar-view", "gavatar-play", "gavatar-motion", "gavatar-list"}
 NEEDS_TRAINING = "pip install 'gavatar[train]'"
 
 

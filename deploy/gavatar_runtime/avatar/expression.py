@@ -10,7 +10,7 @@ import numpy as np
 
 from ..bundle import Bundle
 from ..errors import WrongValue
-from ..formats.array_rules import FAR, Rule, ascending, checked
+from ..values.array_rules import FAR, Rule, ascending, checked
 
 MEMBER = "expression.npz"
 NEGLIGIBLE = 1e-6  # metres a unit coefficient: points that no direction moves by more are left out

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..bundle import Bundle
 from ..errors import WrongValue
-from ..formats.array_rules import FAR, Rule, a_tree, all_different, checked
 from ..motions.fitting import fit_motion, scaled_to_legs
+from ..values.array_rules import FAR, Rule, a_tree, all_different, checked
 from ..values.body import Hands
 from ..values.motion import Motion
 

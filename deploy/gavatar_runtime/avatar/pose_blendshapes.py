@@ -10,8 +10,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..bundle import Bundle
-from ..formats.array_rules import FAR, Rule, checked, sums_to_one
 from ..geometry.rotations import matrix_from_axis_angle
+from ..values.array_rules import FAR, Rule, checked, sums_to_one
 from ..values.surface import Surface
 
 MEMBER = "pose_blendshapes.npz"

@@ -41,11 +41,10 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
-    from ..conversions import convert
-    from ..conversions.conversion import DEFAULT_MOTIONS
+    from ..conversions import convert, default_motions
 
     flags = as_flags(vars(arguments))
-    motions = DEFAULT_MOTIONS if arguments.motions is None else [m for m in arguments.motions.split(",") if m]
+    motions = default_motions() if arguments.motions is None else [m for m in arguments.motions.split(",") if m]
     with options_spelled(flags):
         notes = convert(
             arguments.avatar, arguments.out, motions=motions, tier=arguments.tier, gaussians=arguments.gaussians,

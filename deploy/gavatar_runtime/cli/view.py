@@ -39,11 +39,13 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
     from ..bundle import read_bundle
-    from ..view.scene import Scene
     from ..view.server import Viewer
+    from ..view.viewed_avatar import ViewedAvatar
 
     with options_spelled(as_flags(vars(arguments))):
-        scene = Scene(read_bundle(arguments.avatar), [m for m in arguments.motion.split(",") if m], arguments.threads)
+        scene = ViewedAvatar(
+            read_bundle(arguments.avatar), [m for m in arguments.motion.split(",") if m], arguments.threads
+        )
         viewer = Viewer(scene, arguments.host, arguments.port)
     with viewer:
         print(f"{scene.bundle.manifest.name}: {viewer.address}", flush=True)

@@ -7,9 +7,9 @@ are `play.outputs`.)
 import importlib
 import pkgutil
 
-from .conversion import CONVERSIONS, Conversion, Request, convert, find_conversion
+from .conversion import CONVERSIONS, Conversion, Request, convert, default_motions, find_conversion
 
-__all__ = ["CONVERSIONS", "Conversion", "Request", "convert", "find_conversion"]
+__all__ = ["CONVERSIONS", "Conversion", "Request", "convert", "default_motions", "find_conversion"]
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")

@@ -18,8 +18,6 @@ from ..play.outputs.output import suffix_of
 from ..plugins import load_entry_points
 from ..values.motion import Motion
 
-DEFAULT_MOTIONS = ("turn", "wave")
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Request:
@@ -74,11 +72,16 @@ def find_conversion(path: str | os.PathLike, name: str | None = None) -> Compone
     return found
 
 
+def default_motions() -> list[str]:
+    """The built-in motions that show an avatar: the one that plays where none is asked for, and those that vary."""
+    return list(dict.fromkeys([MOTIONS.default, *MOTIONS.having(varied=True)]))
+
+
 def convert(
     bundle: Bundle | str | os.PathLike,
     path: str | os.PathLike,
     *,
-    motions: Iterable[str | Path | Motion] = DEFAULT_MOTIONS,
+    motions: Iterable[str | Path | Motion] | None = None,
     tier: str | None = None,
     gaussians: int | None = None,
     name: str | None = None,
@@ -86,14 +89,16 @@ def convert(
 ) -> tuple[str, ...]:
     """Turn an avatar into another program's file, by the suffix of `path`, and return what there is to note of it.
 
-    bundle: an opened one or its path. motions: that go with it, built-in ones by name, files or `Motion`s; the first
-    plays at the start. tier: how its look is taken, None for the conversion's choice. gaussians: at most so many.
+    bundle: an opened one or its path. motions: that go with it, built-in ones by name, files or `Motion`s, None for
+    `default_motions`; the first plays at the start. tier: how its look is taken, None for the conversion's choice.
+    gaussians: at most so many.
     name, options: of the conversion, where the suffix does not tell, and options of its own.
     Raises UserError for whatever cannot be read, converted or written.
     """
     conversion = CONVERSIONS.build(find_conversion(path, name).name, options)
     avatar = Avatar(bundle, tier=None)
-    read = [m if isinstance(m, Motion) else read_motion(m) for m in motions] or [read_motion(MOTIONS.default)]
+    wanted = list(default_motions() if motions is None else motions) or [MOTIONS.default]
+    read = [m if isinstance(m, Motion) else read_motion(m) for m in wanted]
     fitted = _told_apart([avatar.fit(motion) for motion in read], conversion.notes)
     conversion.write(Request(avatar, fitted, tier, gaussians), Path(path))
     return tuple(dict.fromkeys(conversion.notes))

@@ -10,8 +10,8 @@ from pathlib import Path
 from ..errors import UserError
 from ..formats.files import atomic
 from ..web.look import read_look
-from ..web.packing import Packed, pack
 from ..web.page import folder_page, module, single_page, three_page
+from ..web.web_data import Packed, pack
 from .conversion import CONVERSIONS, Conversion, Request
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from ..bundle import Bundle
 from ..cpus import usable_cpus
 from ..errors import UserError
-from ..formats.array_rules import ADVICE
+from ..values.array_rules import ADVICE
 
 CHUNK = 2048  # rows that a decoder's graph takes at once: the widest activations (2 MB) stay in a core's caches
 LONGEST_CAUSE = 300  # characters of a message of ONNX Runtime, which may list all of a graph
@@ -157,8 +157,3 @@ def _refused(source: object, verb: str, member: str, error: Exception) -> UserEr
     cause = next(iter(str(error).strip().splitlines()), type(error).__name__)
     cause = "".join(c if c.isprintable() else "?" for c in cause)[:LONGEST_CAUSE]
     return UserError(f"{source}: ONNX Runtime {onnxruntime.__version__} cannot {verb} {member}: {cause}; {ADVICE}")
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

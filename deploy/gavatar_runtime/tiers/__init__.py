@@ -8,7 +8,7 @@ registry is what `gavatar-play --tier` takes. What it reads is written by the co
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Protocol
 
 import numpy as np
@@ -18,8 +18,8 @@ from ..components import Registry
 from ..decoding.detail import grown
 from ..decoding.residuals import Attributes
 from ..errors import UserError, WrongValue
-from ..formats.array_rules import ADVICE
 from ..plugins import load_entry_points
+from ..values.array_rules import ADVICE
 from ..values.surface import Surface
 from .members import OUTPUTS, ArrayMember
 
@@ -93,7 +93,22 @@ class PickingTier(Tier, Protocol):
         """See `Tier`. rows: which Gaussians to decode, None for all."""
 
 
-PLAYER_TIERS: Registry[Tier] = Registry("tier")
+class LinearTier(Tier, Protocol):
+    """A tier that is `linear`: a still look, and what a pose adds to it linear in a few coefficients."""
+
+    def linear(self) -> tuple[Attributes, Mapping[str, np.ndarray] | None]:
+        """The still look, and the arrays of `members.BLENDSHAPE` for the Gaussians that are wanted, None where nothing
+        is added."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TierTraits:
+    """linear: it is a `LinearTier`, which programs without networks can play."""
+
+    linear: bool = False
+
+
+PLAYER_TIERS: Registry[Tier] = Registry("tier", TierTraits)
 
 
 def player_tiers() -> Registry[Tier]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..components import NoOptions
 from ..decoding.residuals import Attributes
-from . import PLAYER_TIERS, Parts
+from . import PLAYER_TIERS, Parts, TierTraits
 from .members import BAKED
 
 
@@ -18,7 +18,7 @@ def baked_attributes(parts: Parts) -> Attributes:
     return points, colors, parts.grow(scales)
 
 
-@PLAYER_TIERS.register("baked", summary="one look for all poses, no network")
+@PLAYER_TIERS.register("baked", summary="one look for all poses, no network", traits=TierTraits(linear=True))
 class Baked:
     """Decoded once; only skinning is left to each frame."""
 
@@ -31,3 +31,7 @@ class Baked:
 
     def __call__(self, pose: np.ndarray) -> Attributes:
         return self._attributes
+
+    def linear(self) -> tuple[Attributes, None]:
+        """See `LinearTier`."""
+        return self._attributes, None

@@ -10,10 +10,10 @@ import numpy as np
 from ..components import NoOptions
 from ..decoding.residuals import Attributes, blendshapes, empty, packed
 from ..errors import UserError
-from ..formats.array_rules import ADVICE, lacking
 from ..geometry.rotations import matrix_from_axis_angle
+from ..values.array_rules import ADVICE, lacking
 from ..values.body import SMPL_BODY_JOINTS
-from . import PLAYER_TIERS, Parts
+from . import PLAYER_TIERS, Parts, TierTraits
 from .baked import baked_attributes
 from .members import BAKED, BLENDSHAPE
 
@@ -104,7 +104,9 @@ def _layers(arrays: Mapping[str, np.ndarray], inputs: int, outputs: int, source:
     return layers
 
 
-@PLAYER_TIERS.register("blendshape", summary="pose residuals as linear bases by body part")
+@PLAYER_TIERS.register(
+    "blendshape", summary="pose residuals as linear bases by body part", traits=TierTraits(linear=True)
+)
 class Blendshape:
     """The still look, and bases of each body part weighted by `Coefficients`: inputs and coefficients are kept within
     the range of training, so that no pose can leave what was seen, and a part whose joints are far from every filmed
@@ -116,10 +118,12 @@ class Blendshape:
     def __init__(self, options: NoOptions, *, parts: Parts):
         arrays = parts.arrays(BLENDSHAPE)
         source = f"{parts.bundle.path}: {BLENDSHAPE.file}"
-        self._base = packed(*baked_attributes(parts))
+        self._still = baked_attributes(parts)
+        self._base = packed(*self._still)
         self._part = np.ascontiguousarray(parts.take(arrays["part"]))
         self._basis = np.ascontiguousarray(parts.take(arrays["basis"]))
         self._gains = arrays["gains"]
+        self._arrays = {**arrays, "part": self._part, "basis": self._basis}
         self.coefficients = Coefficients(arrays, parts.surface.parents, source)
         self._out = [empty(len(parts)) for _ in range(3)]
         self._calls = 0
@@ -133,3 +137,7 @@ class Blendshape:
         out = blendshapes(self._base, self._part, self._basis, weights, self._gains, self._out[self._calls % 3])
         self.stage_seconds = {"encode": encoded - start, "decode": perf_counter() - encoded}
         return out
+
+    def linear(self) -> tuple[Attributes, Mapping[str, np.ndarray]]:
+        """See `LinearTier`."""
+        return self._still, self._arrays

@@ -12,7 +12,7 @@ from ..decoding.network import OPEN, Network
 from ..decoding.pose_inputs import PoseInput, check_inputs, input_shape
 from ..decoding.residuals import Attributes, empty
 from ..errors import UserError
-from ..formats.array_rules import ADVICE
+from ..values.array_rules import ADVICE
 from . import PLAYER_TIERS, Parts
 from .members import DECODER, DECODER_INT8, ENCODER, ENCODER_INT8, OUTPUTS, POSE_FEATURES
 

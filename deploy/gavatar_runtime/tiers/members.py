@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..bundle import DECODER, ENCODER, pack_arrays
-from ..formats.array_rules import FAR, Rule, ascending, checked, lacking, sums_to_one
+from ..values.array_rules import FAR, Rule, ascending, checked, lacking, sums_to_one
 from ..values.body import SMPL_BODY_JOINTS
 
 __all__ = [

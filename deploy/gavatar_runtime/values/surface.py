@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..formats.array_rules import FAR, Rule, a_tree, checked, rigid, sums_to_one
 from ..geometry.kinematics import invert_rigid, joint_transforms, moved_rest, skin, skinning_transforms
+from .array_rules import FAR, Rule, a_tree, checked, rigid, sums_to_one
 
 LARGEST = 1 << 14  # side of an atlas
 # N points, J joints, K weights a point, atlas of side R. What a bundle leaves out is NaN there, or -1.

@@ -18,9 +18,9 @@ import urllib.parse
 from typing import Any
 
 from ..errors import UserError, WrongValue
+from .frame_encoding import encoded
 from .page import viewer_page
-from .pictures import encoded
-from .scene import MOST, Scene, Wish
+from .viewed_avatar import MOST, ViewedAvatar, Wish
 from .websocket import Closed, WebSocket, accept_key
 
 LOOPBACK = "127.0.0.1"
@@ -37,14 +37,14 @@ class Viewer:
     address cannot be had.
     """
 
-    def __init__(self, scene: Scene, host: str = LOOPBACK, port: int = 0):
+    def __init__(self, scene: ViewedAvatar, host: str = LOOPBACK, port: int = 0):
         self.scene = scene
         self.token = secrets.token_urlsafe(16)
         self.host = host
         try:
             self._server = _Server((host, port), self)
         except (OSError, OverflowError) as error:
-            raise UserError(f"cannot listen on {host}:{port}: {getattr(error, 'strerror', None) or error}") from None
+            raise UserError(f"cannot listen on {host}:{port}: {error}") from None
         self.port = int(self._server.server_address[1])
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
         self._thread.start()
@@ -173,7 +173,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         """A viewer keeps no log of requests."""
 
 
-def serve(connection: WebSocket, scene: Scene) -> None:
+def serve(connection: WebSocket, scene: ViewedAvatar) -> None:
     """Answer the page's messages until it leaves. A message that is none of ours ends the connection."""
     try:
         while True:
@@ -204,7 +204,7 @@ def _object(text: str) -> dict[str, Any]:
     return message
 
 
-def _answer(connection: WebSocket, scene: Scene, message: dict[str, Any]) -> None:
+def _answer(connection: WebSocket, scene: ViewedAvatar, message: dict[str, Any]) -> None:
     doing, number = message.get("do"), message["id"]
     try:
         if doing == "draw":
@@ -222,7 +222,7 @@ def _answer(connection: WebSocket, scene: Scene, message: dict[str, Any]) -> Non
         connection.send_text(json.dumps({"id": number, "error": str(error)}))
 
 
-def _hello(scene: Scene) -> dict[str, Any]:
+def _hello(scene: ViewedAvatar) -> dict[str, Any]:
     bundle = scene.bundle
     return {
         "name": bundle.manifest.name, "path": str(bundle.path), "gaussians": bundle.manifest.gaussians,
@@ -230,7 +230,7 @@ def _hello(scene: Scene) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _send_frame(connection: WebSocket, scene: Scene, message: dict[str, Any]) -> None:
+def _send_frame(connection: WebSocket, scene: ViewedAvatar, message: dict[str, Any]) -> None:
     wish = Wish.of(message)
     image, stages, count = scene.draw(wish)
     kind, data = encoded(image)
@@ -242,7 +242,7 @@ def _send_frame(connection: WebSocket, scene: Scene, message: dict[str, Any]) ->
     connection.send_bytes(struct.pack("<I", len(text)), text, data)
 
 
-def _take_file(connection: WebSocket, scene: Scene, data: bytes) -> None:
+def _take_file(connection: WebSocket, scene: ViewedAvatar, data: bytes) -> None:
     """A motion file: the length of a header as four bytes, the header {id, name} and the file."""
     length = int.from_bytes(data[:4], "little")
     if len(data) < 4 or length > 4096 or 4 + length > len(data):

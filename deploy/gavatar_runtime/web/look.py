@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import cast
 
 import numpy as np
 
@@ -12,12 +13,9 @@ from ..decoding.detail import SPREAD, grown, point_spacing
 from ..errors import WrongValue
 from ..geometry.kinematics import invert_rigid
 from ..motions.builtin import relaxed_pose
-from ..tiers import Parts, build_tier, stored_tiers
-from ..tiers.members import BLENDSHAPE
+from ..tiers import LinearTier, Parts, build_tier, player_tiers, stored_tiers
 from ..values.motion import Motion
 from .ordering import progressive_order
-
-PLAYED = ("blendshape", "baked")  # tiers that a page can play without a network, the best first
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -72,33 +70,31 @@ class Look:
 def read_look(avatar: Avatar, tier: str | None = None) -> Look:
     """The look of an avatar with all Gaussians of its bundle; see `Look`.
 
-    tier: `blendshape` or `baked`, None for the best of these that the bundle holds, or for the only look of an avatar
-    that has one for all poses. Raises WrongValue for another tier, and for a bundle whose look moves with the pose and
-    that holds neither.
+    tier: one that is linear, None for the best of these that the bundle holds, or for the only look of an avatar that
+    has one for all poses. Raises WrongValue for another tier, and for a bundle whose look moves with the pose and that
+    holds none.
     """
-    stored = stored_tiers(avatar.bundle)
-    played = [name for name in PLAYED if name in stored] or ([] if avatar.dynamic else [stored[0]])
+    stored, known = stored_tiers(avatar.bundle), player_tiers()
+    linear = [name for name in stored if name in known.having(linear=True)]
+    played = sorted(linear, key=lambda name: not known[name].factory.moves) or ([] if avatar.dynamic else stored[:1])
     if tier is not None and tier not in played:
-        raise WrongValue(f"`tier={tier}`: a web page plays {' or '.join(played or PLAYED)} of this bundle")
+        choices = " or ".join(played) or "no tier"
+        raise WrongValue(f"`tier={tier}`: without its networks {choices} of this bundle can be played")
     if not played:
+        tiers = ",".join(known.having(linear=True))
         raise WrongValue(
-            f"{avatar.bundle.path} holds no tier that a web page can play without its networks: export it again with "
-            "gavatar-export RUN --tiers blendshape"
+            f"{avatar.bundle.path} holds no tier that plays without its networks: export it again with gavatar-export "
+            f"RUN --tiers {tiers}"
         )
-    name = tier or played[0]
     surface, maps = avatar.bundle.surfaces()
-    parts = Parts(avatar.bundle, surface, maps)
-    pose = _relaxed(avatar)
-    source = "baked" if name == "blendshape" else name
-    points, colors, scales = (np.array(a) for a in build_tier(source, parts)(pose))
-    residual = None
-    if name == "blendshape":
-        residual = parts.arrays(BLENDSHAPE)
-        residual["part"], residual["basis"] = parts.take(residual["part"]), parts.take(residual["basis"])
+    built, pose = build_tier(tier or played[0], Parts(avatar.bundle, surface, maps)), _relaxed(avatar)
+    still, residual = cast(LinearTier, built).linear() if linear else (built(pose), None)
+    points, colors, scales = (np.array(array) for array in still)
     return Look(
-        avatar.name, name, points, colors, scales, point_spacing(surface).astype(np.float32), surface.joint_index,
-        surface.joint_weight, avatar.joint_names, surface.parents, surface.joints,
-        invert_rigid(surface.A_canonical)[:, :3], pose, avatar.pixel, residual, _left_out(avatar),
+        avatar.name, tier or played[0], points, colors, scales, point_spacing(surface).astype(np.float32),
+        surface.joint_index, surface.joint_weight, avatar.joint_names, surface.parents, surface.joints,
+        invert_rigid(surface.A_canonical)[:, :3], pose, avatar.pixel, None if residual is None else dict(residual),
+        _left_out(avatar),
     )  # fmt: skip
 
 

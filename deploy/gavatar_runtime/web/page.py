@@ -9,7 +9,7 @@ import json
 import re
 from collections.abc import Iterable, Sequence
 
-from .packing import Packed
+from .web_data import Packed
 
 FILES = "gavatar_runtime.browser"
 # in the order of their imports, so that each stands after what it needs

@@ -112,4 +112,4 @@ def test_a_joint_that_hangs_from_another_limb_is_noted(plain, tmp_path):
     bvh.parents[bvh.names.index("LeftForeArm")] = bvh.names.index("Spine2")
     write_parsed(tmp_path / "a.bvh", bvh)
     notes = read_motion(tmp_path / "a.bvh", rest="offsets").notes
-    assert any("'LeftForeArm', taken for left_elbow, does not hang from" in n and "motion.mapping" in n for n in notes)
+    assert any("'LeftForeArm', taken for left_elbow, does not hang from" in n and "`mapping=FILE`" in n for n in notes)

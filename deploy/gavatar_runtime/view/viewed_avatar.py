@@ -66,7 +66,7 @@ class Wish:
         )  # fmt: skip
 
 
-class Scene:
+class ViewedAvatar:
     """An avatar and motions, drawn for one page at a time.
 
     bundle: of the avatar. motions: names of built-in ones and files. threads: that decode and draw. Its methods may be

@@ -179,7 +179,7 @@ def _chunk_entry(chunk: dict[str, Any], blocks: _Blocks) -> dict[str, Any]:
 
 def _motion(motion: Motion, blocks: _Blocks) -> dict[str, Any]:
     arrays = {"poses": motion.poses.astype(np.float32), "trans": motion.trans.astype(np.float32)}
-    return {"name": motion.name, "fps": float(motion.fps), "frames": len(motion), **blocks.add(arrays)}
+    return {"name": motion.name, "fps": float(motion.fps), **blocks.add(arrays)}
 
 
 def _quantised(values: np.ndarray, low: Any, high: Any, steps: int) -> np.ndarray:

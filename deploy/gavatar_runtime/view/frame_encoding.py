@@ -14,10 +14,8 @@ def encoded(image: np.ndarray, quality: int = QUALITY) -> tuple[str, bytes | mem
     cv2 = _opencv()
     if cv2 is None:
         return "rgb", memoryview(np.ascontiguousarray(image)).cast("B")
-    flags = [cv2.IMWRITE_JPEG_QUALITY, quality]
-    sampling = getattr(cv2, "IMWRITE_JPEG_SAMPLING_FACTOR", None)
-    if sampling is not None:  # halved colour would blur red on white
-        flags += [sampling, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    # halved colour would blur red on white
+    flags = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     done, data = cv2.imencode(".jpg", image[:, :, ::-1], flags)
     if not done:
         return "rgb", memoryview(np.ascontiguousarray(image)).cast("B")
