@@ -42,7 +42,7 @@ def test_blendshapes_fade_into_the_still_look_far_from_filmed_poses(tiered_run, 
     cut = {"seen": arrays["seen"][:, 9:], "near": arrays["near"][:, 1:]}  # of one joint less than it looks at
     for wrong in ({"seen": arrays["seen"][:, 1:]}, {"seen": arrays["seen"][:0]}, cut):
         sizes = {"N": len(arrays["part"]), "body_joints": surface.num_joints}
-        with pytest.raises(UserError, match="test: array '(seen|near)'"):
+        with pytest.raises(UserError, match=r"test: array '(seen|near)'"):
             BLENDSHAPE.read(arrays | wrong, "test", sizes)
 
 
