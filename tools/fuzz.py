@@ -139,9 +139,7 @@ def motion_case(material: Material, r: Random, folder: Path) -> str:
 def capture_case(material: Material, r: Random, folder: Path) -> str:
     """A copy of a capture with one file damaged, checked as gavatar-prepare --check does it."""
     from gavatar.capture.check import check_capture
-    from gavatar.registry import load_plugins
 
-    load_plugins()
     copied = folder / "capture"
     shutil.rmtree(copied, ignore_errors=True)
     shutil.copytree(material.path, copied)
@@ -214,6 +212,14 @@ def batch(case: Case, material: Material, seeds: range, folder: Path, log: Path)
             file.write(json.dumps(dataclasses.asdict(found)) + "\n")
 
 
+def prepare(target: str) -> None:
+    """Import once what every process of cases would: plugins bring torch, which takes seconds."""
+    if target == "capture":
+        from gavatar.registry import load_plugins
+
+        load_plugins()
+
+
 def fuzz(target: str, material: Material, seeds: range) -> list[Outcome]:
     """What came of each seed, in order; each `BATCH` of them, and what follows a crash, in a process of its own."""
     found: dict[int, Outcome] = {}
@@ -264,6 +270,7 @@ def main() -> int:
     if options.target == "motion" and options.avatar is None:
         parser.error("motions need --avatar")
     material = Material(options.path, options.avatar)
+    prepare(options.target)
     if options.one is not None:
         with tempfile.TemporaryDirectory() as folder:
             print(TARGETS[options.target](material, Random(options.one), Path(folder)))
