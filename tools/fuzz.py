@@ -50,6 +50,7 @@ MOTION_SUFFIXES = (".bvh", ".npz", ".npy", ".pth", ".pkl", ".pt")
 SECONDS, SLOW = 20, 8  # of CPU, after which a case is ended, and after which it is told
 WAITED = 300  # seconds, after which one is ended that does not even compute
 ADDRESSES = 12 << 30  # bytes a process may map
+OF_DECODERS = ("libpng ", "Corrupt JPEG", "Premature end of JPEG")  # OpenCV's picture readers print by themselves
 BATCH = 100  # cases a process: what one leaves behind does not reach far
 SIDE = 48  # pixels
 UNWANTED = ("bad", "late", "crash", "slow")
@@ -177,8 +178,9 @@ def outcome(case: Case, material: Material, seed: int, folder: Path, printed: in
         last = traceback.extract_tb(error.__traceback__)[-1]
         found = Outcome(seed, "bad", f"{type(error).__name__}: {error}", f"{Path(last.filename).name}:{last.lineno}")
     sys.stdout.flush()
-    if os.fstat(printed).st_size > before and found.kind != "bad":
-        said = os.pread(printed, 300, before).decode(errors="replace")
+    said = os.pread(printed, os.fstat(printed).st_size - before, before).decode(errors="replace")
+    said = "\n".join(line for line in said.splitlines() if line and not line.startswith(OF_DECODERS))[:300]
+    if said and found.kind != "bad":
         return Outcome(seed, "bad", f"{found.kind}, and printed: {said}", "printed")
     return found
 
