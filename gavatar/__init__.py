@@ -5,6 +5,8 @@
     run = gavatar.train(gavatar.prepare("clip.mp4", "captures/anna"))
     run.export("anna.gavatar")
 
+    gavatar.make("clip.mp4", "anna")     # all of it, and a page that plays: anna/anna.html
+
 Importing it is quick; what trains is imported when it is first asked for (`gavatar.face`), and says in one sentence
 which extra it needs where PyTorch is not installed.
 """
@@ -22,6 +24,7 @@ from .optional import import_from_extra
 
 if TYPE_CHECKING:
     from .face import ExportedAvatar, PreparedCapture, TrainedRun, open_capture, open_run, prepare, train
+    from .making import MadeAvatar, make
 
 # OpenMP's threads otherwise spin at every barrier: beside another busy process, or our own splatting threads, a
 # training step then takes ten to a hundred times as long. Read once, when torch loads it, so it stands here.
@@ -35,15 +38,16 @@ if cpu_quota() is not None:
     os.environ.setdefault("OMP_NUM_THREADS", str(usable_cpus()))
 
 __all__ = [
-    "ExportedAvatar", "PreparedCapture", "TrainedRun", "UserError", "__version__", "open_capture", "open_run",
-    "prepare", "train",
+    "ExportedAvatar", "MadeAvatar", "PreparedCapture", "TrainedRun", "UserError", "__version__", "make", "open_capture",
+    "open_run", "prepare", "train",
 ]  # fmt: skip
+_MAKING = ("MadeAvatar", "make")
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'gavatar' has no attribute '{name}'")
-    return getattr(import_from_extra("gavatar.face", f"gavatar.{name}"), name)
+    return getattr(import_from_extra("gavatar.making" if name in _MAKING else "gavatar.face", f"gavatar.{name}"), name)
 
 
 def __dir__() -> list[str]:

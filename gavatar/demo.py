@@ -15,8 +15,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from gavatar_runtime.conversions import convert
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.spacing import evenly_spaced
+from gavatar_runtime.tiers import player_tiers
 
 from .capture.capture import View
 from .evaluation.result import Evaluation
@@ -63,7 +65,8 @@ def run_demo(out: Path, overrides: Sequence[str] = (), say: Callable[[str], None
     evaluations = _evaluate(out)
     say("4/5  export to ONNX, verified against PyTorch")
     bundle = out / "studio_demo.gavatar"
-    manifest = TrainedRun(evaluations["+opt+dyn"].run).export(bundle).manifest
+    run = TrainedRun(evaluations["+opt+dyn"].run)
+    manifest = run.export(bundle, tiers=player_tiers().having(linear=True) if run.dynamic else ()).manifest
     say(f"     {bundle}: positions within {1000 * manifest.export_check['position_m']:.5f} mm of PyTorch")
     say("5/5  playback, in a process without torch")
     plays = {motion: _play(bundle, motion, out) for motion in MOTIONS}
@@ -71,7 +74,9 @@ def run_demo(out: Path, overrides: Sequence[str] = (), say: Callable[[str], None
     summary_picture(evaluations, plays, picture)
     summary = _summary(evaluations, manifest, plays, earlier + time.perf_counter() - start)
     write_json(out / "summary.json", summary)
-    files = [out / f"{motion}.mp4" for motion in MOTIONS] + [picture, bundle, out / "summary.json"]
+    page = out / "avatar.html"
+    convert(bundle, page)
+    files = [out / f"{motion}.mp4" for motion in MOTIONS] + [picture, bundle, out / "summary.json", page]
     return DemoResult(summary, evaluations, files)
 
 
@@ -176,6 +181,7 @@ def screen(result: DemoResult) -> str:
         f"total: {s['seconds'] / 60:.1f} minutes",
         "",
         *(f"wrote {path}" for path in result.files),
+        f"open {result.files[-1]} in a browser: the avatar plays there, also offline and on a phone",
     ]
     return "\n".join(lines)
 

@@ -11,7 +11,8 @@ from ..optional import requires_extra
 
 DESCRIPTION = """Train, evaluate, export and play an avatar of the capture that comes with gavatar (synthetic, CC0):
 a person turning and moving before one camera, with estimated poses that are off by 52 mm."""
-EPILOG = """Writes wave.mp4, turn.mp4, summary.png, summary.json, studio_demo.gavatar and the run directories.
+EPILOG = """Writes wave.mp4, turn.mp4, summary.png, summary.json, studio_demo.gavatar, avatar.html (for a browser)
+and the run directories.
 A demo that was interrupted goes on where it was. Any setting of gavatar-train may be added, for example:
   gavatar-demo --out quick stage1.steps=100 stage2.steps=20
 """
