@@ -33,7 +33,7 @@ PLACEHOLDERS = ("[", "|", "DIR", "RUN", "NAME", "FILE", "CAPTURE", "SOURCE", "FO
 # official files, which everyone downloads for themselves; the example that test_third_party_plugin.py installs;
 # launchers, which tests of sweeps try where they are installed
 NOT_OURS = ("body=smpl", "--body", "tinydecoder", "grey", "hydra/launcher")
-SLOW = ("gavatar-demo", "gavatar-tradeoff")
+SLOW = ("gavatar-demo", "gavatar-make", "gavatar-tradeoff", "gavatar-view")
 
 
 @pytest.fixture(scope="module")
