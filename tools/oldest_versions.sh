@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Tries the oldest versions that pyproject.toml promises (the last patch of each): installs them with the package into a throw-away environment,
-# asks pip whether they fit each other, and runs the tests of the player (or those given).
+# Tries the oldest versions that pyproject.toml promises (the last patch of each): installs them with the package into a
+# throw-away environment, asks pip whether they fit each other, and runs the tests of the player (or those given).
 #
 #     PYTHON=python3.10 tools/oldest_versions.sh [TEST ...]
 #
@@ -21,6 +21,6 @@ print(*sorted({re.sub(r">=", "~=" if n.count(".") == 0 else "==", n) for n in ne
 PYTHON
 sed -i 's/~=\([0-9]*\)$/==\1.*/; s/==\([0-9]*\.[0-9]*\)$/==\1.*/; s/==\([0-9]*\)$/==\1.*/' "$folder/oldest.txt"
 cat "$folder/oldest.txt"
-"$python" -m pip install --quiet --disable-pip-version-check -r "$folder/oldest.txt" .
+"$python" -m pip install --quiet --disable-pip-version-check -r "$folder/oldest.txt" -e .
 "$python" -m pip check
 OMP_NUM_THREADS=1 "$python" -m pytest -q -p no:cacheprovider "${@:-tests/runtime}"

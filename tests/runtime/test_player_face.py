@@ -47,7 +47,8 @@ def loaded_after(statement: str) -> set[str]:
     """Top packages, those of the standard library left out, that a new interpreter has loaded."""
     code = f"import sys; before = set(sys.modules); {statement}; print(*sorted(set(sys.modules) - before))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
-    return {name.partition(".")[0] for name in done.stdout.split()} - set(sys.stdlib_module_names)
+    loaded = {name.partition(".")[0] for name in done.stdout.split()} - set(sys.stdlib_module_names)
+    return {name for name in loaded if "cython" not in name}  # which older NumPys enter there
 
 
 def test_importing_loads_nothing_but_the_package_itself():

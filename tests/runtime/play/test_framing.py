@@ -33,7 +33,7 @@ def test_the_whole_motion_is_in_the_picture_and_fills_it(static, size, azimuth):
     motion, _ = avatar.fit(read_motion("wave", fps=6))
     camera = frame_motion(avatar, motion, *size, azimuth=azimuth)
     x, y, z = camera.project(body_points(avatar, motion)).T
-    low, high = MARGIN - 1e-9, 1 - MARGIN + 1e-9
+    low, high = MARGIN - 1e-8, 1 - MARGIN + 1e-8  # NumPy 1 rounds a product of scalars to float32
     assert (z > 0).all()
     assert low <= (x / size[0]).min()
     assert (x / size[0]).max() <= high
@@ -90,8 +90,8 @@ def test_a_camera_fitted_to_another_size_keeps_its_picture_whole_and_undistorted
     assert fitted.fx / fitted.fy == pytest.approx(camera.fx / camera.fy)
     factor = min(width / 120, height / 80)
     corners = np.array([[0, 0], [120, 80]]) * factor + [(width - 120 * factor) / 2, (height - 80 * factor) / 2]
-    assert corners.min() >= -1e-9
-    assert (corners[1] <= (width + 1e-9, height + 1e-9)).all()
+    assert corners.min() >= -1e-5
+    assert (corners[1] <= (width + 1e-5, height + 1e-5)).all()
     point = np.array([0.1, 0.2, 0.3])
     expected = camera.project(point)[:2] * factor + corners[0]
     np.testing.assert_allclose(fitted.project(point)[:2], expected, atol=1e-9)
