@@ -16,7 +16,7 @@ STAMP := $(VENV)/.installed
 help:
 	@echo 'make demo    train, evaluate, export and play the shipped capture (DEMO_ARGS=... is passed on)'
 	@echo 'make test    run the tests (WORKERS=2, PYTEST_ARGS="-k registry")'
-	@echo 'make lint    ruff check and ruff format --check'
+	@echo 'make lint    ruff check, ruff format --check and mypy'
 	@echo 'make native-check  the compiled kernel without warnings, under sanitizers and as 64-bit ARM code'
 	@echo 'make wheel   build dist/gavatar-*.whl'
 	@echo 'make setup   only make the environment $(VENV)'
@@ -42,6 +42,7 @@ test: $(STAMP)
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python -m mypy
 
 native-check: $(STAMP)
 	PYTHON=$(BIN)/python tools/native_warnings.sh
@@ -52,4 +53,4 @@ wheel: $(STAMP)
 	$(BIN)/python -m build --wheel --no-isolation .
 
 clean:
-	rm -rf build dist *.egg-info .pytest_cache .ruff_cache $(VENV)
+	rm -rf build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache $(VENV)

@@ -61,7 +61,7 @@ def capture_on_body(capture: Capture, data: BodyData) -> Capture:
     joints' names: fingers stay fingers, whether the poses come with a jaw or without. Moving joints that the body lacks
     are named in a warning."""
     capture = capture.placed(data)
-    fitted = {}
+    fitted: dict[str, Any] = {}
     for key in ("motion", "truth"):
         motion = getattr(capture, key)
         if motion is not None:

@@ -144,7 +144,7 @@ def check(config: DictConfig) -> TrainConfig:
     """The composed configuration as dataclasses, every value checked; UserError names the field that is wrong."""
     if OmegaConf.is_missing(config, "capture"):
         raise UserError("no capture given: add capture=DIR (for a first try: gavatar-demo)")
-    plain = OmegaConf.to_container(config, resolve=True)
+    plain: Any = OmegaConf.to_container(config, resolve=True)
     fields = {f.name for f in dataclasses.fields(TrainConfig)}
     typed = TrainConfig(**{k: v for k, v in plain.items() if k in fields})
     typed.avatar = AvatarConfig(**plain["avatar"])

@@ -94,7 +94,7 @@ def requires_extra(extra: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 missing = extra_of(error.name)
                 if missing is None:
                     raise
-                raise UserError(_sentence(name, error.name, missing)) from error
+                raise UserError(_sentence(name, error.name or missing, missing)) from error
 
         return run
 

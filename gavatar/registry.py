@@ -14,6 +14,7 @@ import importlib.metadata
 import pkgutil
 import typing
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -155,7 +156,8 @@ def load_plugins() -> tuple[PluginFailure, ...]:
     install they are many and nothing is wrong with them.
     """
     failures = []
-    jobs = [(name, functools.partial(importlib.import_module, name)) for name in _builtin_modules()]
+    jobs: list[tuple[str, Callable[[], Any]]] = []
+    jobs += [(name, functools.partial(importlib.import_module, name)) for name in _builtin_modules()]
     for point in importlib.metadata.entry_points(group=ENTRY_POINT_GROUP):
         source = f", from {point.dist.name}" if point.dist else ""
         jobs.append((f"{point.name} ({point.value}{source})", point.load))
@@ -169,10 +171,11 @@ def load_plugins() -> tuple[PluginFailure, ...]:
 
 
 def _failure(plugin: str, error: BaseException) -> PluginFailure:
-    extra = extra_of(error.name) if isinstance(error, ModuleNotFoundError) else None
+    missing = error.name if isinstance(error, ModuleNotFoundError) else None
+    extra = extra_of(missing)
     if extra is None:
         return PluginFailure(plugin, f"{type(error).__name__}: {error}")
-    return PluginFailure(plugin, f"needs {error.name}: {install_command(extra)}", extra)
+    return PluginFailure(plugin, f"needs {missing}: {install_command(extra)}", extra)
 
 
 def _warn(failures: list[PluginFailure]) -> None:
@@ -232,4 +235,4 @@ def resolve(registry: Registry, node: dict[str, Any], context: Any) -> dict[str,
     name, options = split_node(node)
     if not registry.traits(name, options).chooses:
         return node
-    return registry[name].factory.choose(registry.options(name, options), context)
+    return registry[name].kind.choose(registry.options(name, options), context)

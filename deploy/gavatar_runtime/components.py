@@ -67,6 +67,11 @@ class Component(Generic[T]):
     default: bool = False
 
     @property
+    def kind(self) -> Any:
+        """The class itself, which is asked for what it says beside its contract (`needs`, `choose`)."""
+        return self.factory
+
+    @property
     def default_traits(self) -> Any | None:
         """What it can with the defaults of its options, None where some have no default."""
         fields = dataclasses.fields(self.config)

@@ -61,7 +61,7 @@ class Faults:
             self.sentences += [sentence for sentence in error.sentences if sentence not in self.sentences]
             return None
 
-    def each(self, read: Callable, items: Iterable, more: str) -> list | None:
+    def each(self, read: Callable, items: Iterable, more: str) -> Any:
         """`read` of every item; None when any of them failed and faults are collected: the first 20 are then named,
         and `more` says what the others are, as in "and 7 more files of params/ are faulty"."""
         found = [(Faults(self.collect), item) for item in items]

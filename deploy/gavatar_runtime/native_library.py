@@ -11,11 +11,14 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from . import splatting_rule as rules
 from .cpus import usable_cpus
 from .errors import UserError
+
+if TYPE_CHECKING:
+    from .values.camera import Camera
 
 ABI_VERSION = 4
 MOST_THREADS = 256  # as in pool.cpp
@@ -26,28 +29,53 @@ INSTALL_AGAIN = "install gavatar again (in a checkout: pip install -e .)"
 _P, _F, _D, _I, _L = ctypes.c_void_p, ctypes.c_float, ctypes.c_double, ctypes.c_int32, ctypes.c_int64
 
 
-def _struct(name: str, *fields) -> type[ctypes.Structure]:
-    return type(name, (ctypes.Structure,), {"_fields_": list(fields), "__slots__": ()})
-
-
 # These mirror gavatar_native.h, field by field: GvGaussians is GaussiansStruct here. ABI_VERSION changes with them.
 _ARRAYS = [(name, _P) for name in ("means", "scales", "colors", "opacities", "quaternions")]
-GaussiansStruct = _struct("GaussiansStruct", ("count", _L), *_ARRAYS, ("normals", _P), ("scale_columns", _I))
-CameraStruct = _struct(
-    "CameraStruct", ("rotation", _D * 9), ("translation", _D * 3), *((k, _D) for k in ("fx", "fy", "cx", "cy")),
-    ("width", _I), ("height", _I),
-)  # fmt: skip
-OptionsStruct = _struct(
-    "OptionsStruct", ("background", _F * 3), ("transmittance_stop", _F), ("block_stop", _F), ("keep", _I), ("fast", _I),
-    ("antialiased", _I), ("backface", _F), ("depth_cut", _F),
-)  # fmt: skip
-ImagesStruct = _struct("ImagesStruct", *((k, _P) for k in ("color", "alpha", "depth", "color8")))
-ReportStruct = _struct(
-    "ReportStruct", *((k, _L) for k in ("dropped", "visible", "entries", "blended")),
-    *((k, _D) for k in ("project_s", "sort_s", "blend_s")),
-)  # fmt: skip
-GradientsStruct = _struct("GradientsStruct", *_ARRAYS)
-BackwardReportStruct = _struct("BackwardReportStruct", ("blend_s", _D), ("project_s", _D))
+
+
+class GaussiansStruct(ctypes.Structure):
+    __slots__ = ()
+    _fields_ = (("count", _L), *_ARRAYS, ("normals", _P), ("scale_columns", _I))
+
+
+class CameraStruct(ctypes.Structure):
+    __slots__ = ()
+    _fields_ = (
+        ("rotation", _D * 9), ("translation", _D * 3), ("fx", _D), ("fy", _D), ("cx", _D), ("cy", _D), ("width", _I),
+        ("height", _I),
+    )  # fmt: skip
+
+
+class OptionsStruct(ctypes.Structure):
+    __slots__ = ()
+    _fields_ = (
+        ("background", _F * 3), ("transmittance_stop", _F), ("block_stop", _F), ("keep", _I), ("fast", _I),
+        ("antialiased", _I), ("backface", _F), ("depth_cut", _F),
+    )  # fmt: skip
+
+
+class ImagesStruct(ctypes.Structure):
+    __slots__ = ()
+    _fields_ = (("color", _P), ("alpha", _P), ("depth", _P), ("color8", _P))
+
+
+class ReportStruct(ctypes.Structure):
+    __slots__ = ()
+    _fields_ = (
+        ("dropped", _L), ("visible", _L), ("entries", _L), ("blended", _L), ("project_s", _D), ("sort_s", _D),
+        ("blend_s", _D),
+    )  # fmt: skip
+
+
+class GradientsStruct(ctypes.Structure):
+    __slots__ = ()
+    _fields_ = tuple(_ARRAYS)
+
+
+class BackwardReportStruct(ctypes.Structure):
+    __slots__ = ()
+    _fields_ = (("blend_s", _D), ("project_s", _D))
+
 
 STRUCTS = (
     GaussiansStruct, CameraStruct, OptionsStruct, ImagesStruct, ReportStruct, GradientsStruct, BackwardReportStruct,
@@ -55,11 +83,11 @@ STRUCTS = (
 RULE = {name: value for name, value in vars(rules).items() if name.isupper()}
 
 # What `mismatch` calls once the version is right, before it is known whether all else is.
-_CHECKS = {
+_CHECKS: dict[str, tuple[Any, list[Any]]] = {
     "gv_struct_size": (_L, [ctypes.c_char_p]),
     "gv_rule": (_D, [ctypes.c_char_p]),
 }
-_SIGNATURES = {
+_SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "gv_compiler": (ctypes.c_char_p, []),
     "gv_isa_count": (_I, []),
     "gv_isa_name": (ctypes.c_char_p, [_I]),
@@ -193,7 +221,7 @@ class Frame:
 
     handle: int | None = None
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._lib = library()
         self.handle = self._lib.gv_frame_new()
         if not self.handle:
@@ -203,13 +231,13 @@ class Frame:
     def nbytes(self) -> int:
         return self._lib.gv_frame_bytes(self.handle)
 
-    def __del__(self):
+    def __del__(self) -> None:
         if self.handle:
             self._lib.gv_frame_free(self.handle)
             self.handle = None
 
 
-def camera_struct(camera) -> CameraStruct:
+def camera_struct(camera: Camera) -> CameraStruct:
     """A `gavatar_runtime.values.camera.Camera` for the kernel. Raises UserError for what is not a camera's numbers."""
     T = camera.T_camera_world
     numbers = (camera.fx, camera.fy, camera.cx, camera.cy, *T[:3].ravel().tolist())

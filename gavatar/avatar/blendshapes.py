@@ -22,6 +22,8 @@ def at_points(body: BodyData, surface: Surface, directions: np.ndarray) -> np.nd
 
 def pose_blendshapes_of(body: BodyData, surface: Surface) -> PoseBlendshapes:
     """The pose blendshapes of a body that has some, at the points of its surface."""
+    if body.posedirs is None:
+        raise ValueError(f"body '{body.name}' has no pose blendshapes")
     return PoseBlendshapes.of(body.posedirs, body.canonical_pose(), body.faces[surface.face], surface.barycentric)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from typing import Any
 
 import numpy as np
 import torch
@@ -56,8 +57,8 @@ class Pose:
 
     def __getitem__(self, rows: slice | list[int]) -> Pose:
         """The poses of these rows."""
-        values = (getattr(self, field.name) for field in dataclasses.fields(self))
-        return Pose(*(None if value is None else value[rows] for value in values))
+        values: dict[str, Any] = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return dataclasses.replace(self, **{n: value[rows] for n, value in values.items() if value is not None})
 
 
 class Avatar(nn.Module):
@@ -67,6 +68,19 @@ class Avatar(nn.Module):
     is not part of the state: `sample_at` may replace it by a denser or sparser sampling of the same body at any time
     (coarse-to-fine training, level of detail).
     """
+
+    # set by `sample_at`
+    points: Tensor
+    weights: Tensor
+    joint_index: Tensor
+    joint_weight: Tensor
+    uv: Tensor
+    spacing: Tensor
+    _pose_directions: Tensor
+    _pose_canonical: Tensor
+    _corner: Tensor
+    _corner_weight: Tensor
+    _canonical_turn: Tensor
 
     def __init__(
         self,
@@ -79,7 +93,8 @@ class Avatar(nn.Module):
     ):
         super().__init__()
         self.config, self.skeleton = config, skeleton
-        self.encoder, self.decoder = encoder, decoder
+        self.encoder: Any = encoder  # a module that is an `Encoder` too: there is no type for both at once
+        self.decoder = decoder
         self.encoder_traits = encoder_traits or EncoderTraits(static=encoder is None)
         self.decoder_traits = decoder_traits or DecoderTraits()
         self.with_normals = False  # whether `pose` gives normals, for rasterizers that want them
@@ -91,15 +106,27 @@ class Avatar(nn.Module):
         if config.smoothing:
             convs = (nn.Conv2d(config.features, config.features, 5, padding=2, bias=False) for _ in range(3))
             self.smooth = nn.Sequential(*convs)
-        self.surface: Surface | None = None
+        self._surface: Surface | None = None
         self.mixed_precision = False  # decode in bfloat16 while training
         self._expressions: tuple[Surface, Tensor, Tensor, Tensor] | None = None  # of the surface: what they do to it
         self._shapes: tuple[Surface, Tensor, Tensor] | None = None  # of the surface: what betas do to it
 
+    @property
+    def placed(self) -> bool:
+        """Whether it stands on a surface."""
+        return self._surface is not None
+
+    @property
+    def surface(self) -> Surface:
+        """What its points were sampled from. Raises UserError before `sample_at`."""
+        if self._surface is None:
+            raise UserError("the avatar has no points yet: call sample_at first")
+        return self._surface
+
     def sample_at(self, surface: Surface) -> None:
         """Place the Gaussians on the points of `surface`."""
         device, dtype = self.features.device, self.features.dtype
-        self.surface = surface
+        self._surface = surface
         for name, values in {
             "points": torch.as_tensor(surface.points, dtype=dtype),
             "weights": skinning_weights(surface, len(self.skeleton.parents), dtype),
@@ -123,7 +150,7 @@ class Avatar(nn.Module):
 
     def attributes(self, pose_features: Tensor | None = None) -> Attributes:
         """Decode every point. pose_features: (B, C, M, M) or None -> Attributes with leading B (1 when None)."""
-        if self.surface is None:
+        if not self.placed:
             raise UserError("the avatar has no points yet: call sample_at first")
         maps = self.smooth(self.features)
         if pose_features is not None and pose_features.shape[-2:] == maps.shape[-2:]:
@@ -159,12 +186,13 @@ class Avatar(nn.Module):
             moved, joints = self._shaped(betas_change)
             points, shift = points + moved, joints if shift is None else shift + joints
         transforms = self.skeleton.canonical_to_posed(rotations, shift)
-        normals = self._turned_normals(transforms) if self.with_normals else [None] * len(rotations)
+        nothing = [None] * len(rotations)
+        normals = self._turned_normals(transforms) if self.with_normals else nothing
         if can_skin_sparse(points):
             means = skin_sparse(points, self.joint_index, self.joint_weight, transforms)
         else:
             means = skin(points, self.weights, transforms)
-        quaternions = [None] * len(rotations)
+        quaternions: Tensor | list[None] = nothing
         if attributes.rotations is not None:
             quaternions = skin_rotations(attributes.rotations, self.weights, transforms, self.skeleton.parents)
         # unbound at once: the gradient of each row taken by itself would be a tensor as large as all of them
@@ -220,13 +248,15 @@ class Avatar(nn.Module):
             return moved, coefficients.new_zeros(len(coefficients), len(self.skeleton.parents), 3)
         if self._expressions is None or self._expressions[0] is not self.surface:
             known = expression_of(self.skeleton.data, self.surface)
-            self._expressions = (
-                self.surface, *(torch.as_tensor(a) for a in (known.rows, known.directions, known.joints))
-            )  # fmt: skip
+            if known is None:
+                raise UserError("the body has no expressions")
+            arrays = (known.rows, known.directions, known.joints)
+            rows, directions, joints = (torch.as_tensor(a) for a in arrays)
+        else:
+            _, rows, directions, joints = self._expressions
         # where the avatar is at present: it may have been moved
-        surface, *tensors = self._expressions
-        rows, directions, joints = (tensor.to(coefficients.device) for tensor in tensors)
-        self._expressions = (surface, rows, directions, joints)
+        rows, directions, joints = (tensor.to(coefficients.device) for tensor in (rows, directions, joints))
+        self._expressions = (self.surface, rows, directions, joints)
         moved[:, rows] = torch.einsum("be,nce->bnc", coefficients, directions[..., :used].to(coefficients.dtype))
         return moved, torch.einsum("be,jce->bjc", coefficients, joints[..., :used].to(coefficients.dtype))
 
@@ -235,9 +265,9 @@ class Avatar(nn.Module):
         The points' spacing stays that of the sampled surface."""
         count = len(change)
         if self._shapes is None or self._shapes[0] is not self.surface or self._shapes[1].shape[-1] != count:
-            known = shape_of(self.skeleton.data, self.surface, count)
-            self._shapes = (self.surface, *(torch.as_tensor(d) for d in known))
-        surface, *tensors = self._shapes
-        points, joints = (tensor.to(change) for tensor in tensors)
-        self._shapes = (surface, points, joints)
+            points, joints = (torch.as_tensor(d) for d in shape_of(self.skeleton.data, self.surface, count))
+        else:
+            _, points, joints = self._shapes
+        points, joints = points.to(change), joints.to(change)
+        self._shapes = (self.surface, points, joints)
         return points @ change, joints @ change

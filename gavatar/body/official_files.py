@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -109,7 +110,7 @@ def read_arrays(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
 
 
 def read_body(family: Family, path: Path, *, num_betas: int = 0, num_expression: int = 10, hands: str = "flat",
-              uv: str = "", folders: list[Path] = ()) -> BodyData:  # fmt: skip
+              uv: str = "", folders: Sequence[Path] = ()) -> BodyData:  # fmt: skip
     """The body in a model file, with the UV atlas of the user's own files.
 
     num_betas: shape coefficients kept, 0 for all that the file has. num_expression: the same for expression, -1 for

@@ -60,6 +60,13 @@ class PosedBody(torch.nn.Module):
     `BodyData.posed` is its NumPy reference; both are held against the `smplx` package.
     """
 
+    v_template: Tensor
+    shapedirs: Tensor
+    exprdirs: Tensor
+    posedirs: Tensor
+    J_regressor: Tensor
+    weights: Tensor
+
     def __init__(self, data: BodyData, dtype: torch.dtype = torch.float32):
         super().__init__()
         self.parents = [int(p) for p in data.parents]
@@ -104,6 +111,11 @@ class Skeleton(torch.nn.Module):
 
     data: the body. betas: (B,) shape coefficients or None. data is kept for what a surface needs of it.
     """
+
+    joints: Tensor
+    _canonical: Tensor
+    _canonical_rot_inv: Tensor
+    _canonical_trans: Tensor
 
     def __init__(self, data: BodyData, betas: np.ndarray | None = None, dtype: torch.dtype = torch.float32):
         super().__init__()

@@ -18,6 +18,7 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -149,7 +150,7 @@ class Capture:
 
 @dataclasses.dataclass(kw_only=True)
 class _Resized(Capture):
-    original: Capture | None = None
+    original: Capture
 
     def load(self, view: View) -> tuple[np.ndarray, np.ndarray]:
         return self._sized(view, self.original.load(view))
@@ -160,7 +161,8 @@ class _Resized(Capture):
     def _sized(self, view: View, images: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         camera = self.camera(view)
         mode = cv2.INTER_AREA if camera.width < images[0].shape[1] else cv2.INTER_LINEAR
-        return tuple(cv2.resize(image, (camera.width, camera.height), interpolation=mode) for image in images)
+        color, alpha = (cv2.resize(image, (camera.width, camera.height), interpolation=mode) for image in images)
+        return color, alpha
 
 
 def read_image(path: Path, flag: int) -> np.ndarray:
@@ -276,7 +278,7 @@ def read_capture(path: str | os.PathLike, faults: Faults | None = None) -> Captu
     cameras = faults.of(read_cameras, path / "cameras.json", faults.add)
     motion = faults.of(read_motion, path / "body.npz", up="y")
     truth = faults.of(_truth, path, motion)
-    splits = None
+    splits: Any = None
     if info is not None and cameras is not None and motion is not None:
         splits = faults.of(_splits, path / "capture.json", info.get("splits") or {}, cameras, len(motion), faults)
     faults.stop()

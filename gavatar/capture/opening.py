@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from ..registry import CAPTURES, resolve, split_node
 from .capture import Capture
 
 
-def open_capture(path: str | Path, node: dict[str, Any] | None = None) -> Capture:
+def open_capture(path: str | os.PathLike[str], node: dict[str, Any] | None = None) -> Capture:
     """Open the capture at `path` with the reader of `node`, by default the first that recognises the folder.
     Raises UserError when the folder is missing, of no known layout, or malformed."""
     path = Path(path)
@@ -24,7 +25,7 @@ def capture_format(path: Path) -> str:
     if not path.is_dir():
         raise UserError(f"capture {path} is not a directory")
     for component in CAPTURES:
-        if component.factory.recognises(path):
+        if component.kind.recognises(path):
             return component.name
-    known = "; ".join(f"{c.name}: {c.factory.signs}" for c in CAPTURES if c.factory.signs)
+    known = "; ".join(f"{c.name}: {c.kind.signs}" for c in CAPTURES if c.kind.signs)
     raise UserError(f"{path} is not a capture: none of the known layouts fits ({known})")

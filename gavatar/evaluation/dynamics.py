@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -38,7 +39,7 @@ def weigh_dynamics(result: Evaluation, device: str | torch.device = "cpu") -> Dy
     static_run = open_run(run.directory, 1, run.config.capture)
     static_run.config.rasterizer = run.config.rasterizer
     evaluator = Evaluator(static_run, progress=False, device=device)
-    motion = capture.truth if rows[0].poses == "true" else capture.motion
+    motion: Any = capture.truth if rows[0].poses == "true" else capture.motion
     errors: dict[str, list[float]] = {"static": [], "dynamic": []}
     for row in rows:
         static = evaluator.score(row.split, row.poses, [score.view for score in row.scores], motion)

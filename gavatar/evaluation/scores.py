@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -137,7 +138,7 @@ def evaluate(
     sources = {"refined": run.motion.motion(), "estimated": capture.motion, "true": capture.truth}
     rows, pictures = [], []
     for split, poses, views in evaluation_plan(capture, splits, fit_steps > 0, run.config.train_split):
-        motion = evaluator.fit(views, fit_steps) if poses == "fitted" else sources[poses]
+        motion: Any = evaluator.fit(views, fit_steps) if poses == "fitted" else sources[poses]
         rows.append(evaluator.score(split, poses, views, motion))
         worst = rows[-1].worst.view
         color, alpha = capture.load(worst)

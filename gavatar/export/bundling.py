@@ -10,6 +10,7 @@ import dataclasses
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -125,7 +126,7 @@ def with_needs(names: Sequence[str], run: Run) -> list[str]:
     static avatar, whose look is already one for all poses."""
     wanted: list[str] = []
     for name in dict.fromkeys(names):
-        for needed in (*TIERS[name].factory.needs, name):
+        for needed in (*TIERS[name].kind.needs, name):
             if needed not in wanted and needed != TIERS.default:
                 wanted.append(needed)
     if wanted and run.avatar.encoder is None:
@@ -188,7 +189,7 @@ def front(bundled: Bundled) -> Bundled:
     return _with(dataclasses.replace(bundled, members=members), tiers=kept)
 
 
-def _with(bundled: Bundled, **fields: object) -> Bundled:
+def _with(bundled: Bundled, **fields: Any) -> Bundled:
     return dataclasses.replace(bundled, manifest=dataclasses.replace(bundled.manifest, **fields))
 
 

@@ -87,6 +87,8 @@ class Lpips(nn.Module):
         for i, width in enumerate(channels):
             weight = _take(state, f"lin{i}.model.1.weight", (1, width, 1, 1), files[1], self.title)
             self.register_buffer(f"linear{i}", weight)
+        self.shift: Tensor
+        self.scale: Tensor
         self.register_buffer("shift", torch.tensor(SHIFT)[:, None, None])
         self.register_buffer("scale", torch.tensor(SCALE)[:, None, None])
         self.requires_grad_(False)

@@ -45,6 +45,9 @@ def _same_padding(x: Tensor, kernel: int, stride: int) -> Tensor:
 class _Conv(nn.Module):
     """A convolution with its batch norm folded in, 'SAME' padding, and ReLU6 if `activate`."""
 
+    weight: Tensor
+    bias: Tensor
+
     def __init__(self, weight: Tensor, norm: dict[str, Tensor], stride: int = 1, activate: bool = True):
         super().__init__()
         factor = norm["weight"].double() / torch.sqrt(norm["running_var"].double() + BATCH_NORM_EPS)

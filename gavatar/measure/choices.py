@@ -76,7 +76,7 @@ def default_choices(bundle: Bundle, auto_uv: int | None = None) -> list[Choice]:
     side = bundle.surfaces()[0].resolution
     levels = sorted({uv for uv in (*LEVELS, auto_uv or side) if uv < WORTH * side})
     choices = [Choice(tier) for tier in stored]
-    kinds = {tier: player_tiers()[tier].factory for tier in stored}
+    kinds = {tier: player_tiers()[tier].kind for tier in stored}
     networks = [t for t in stored if kinds[t].networks] if bundle.manifest.dynamic else []
     cheap = [t for t in stored if t not in networks] or stored
     choices += [Choice(tier, uv=uv) for tier in cheap for uv in levels]

@@ -42,11 +42,16 @@ class Row:
         values = {"gaussians": self.gaussians, "width": self.width, "height": self.height, "fps": self.speed.fps}
         values |= dataclasses.asdict(self.speed)
         for name, likeness in (("full", self.full), ("footage", self.footage)):
-            found = likeness or Likeness(None, None)
-            values |= {f"{key}_vs_{name}": value for key, value in dataclasses.asdict(found).items()}
-        process = self.process or Footprint(None, None)
-        values |= {**dataclasses.asdict(process), "bundle_mb": self.bundle_mb, "dominated": self.dominated}
+            found = _numbers(Likeness, likeness)
+            values |= {f"{key}_vs_{name}": value for key, value in found.items()}
+        values |= {**_numbers(Footprint, self.process), "bundle_mb": self.bundle_mb, "dominated": self.dominated}
         return self.choice.as_json() | {k: round(v, 4) if isinstance(v, float) else v for k, v in values.items()}
+
+
+def _numbers(kind: type[Likeness | Footprint], measured: Likeness | Footprint | None) -> dict[str, Any]:
+    """Its numbers by name, None each where it was not measured."""
+    names = [field.name for field in dataclasses.fields(kind)]
+    return {name: None if measured is None else getattr(measured, name) for name in names}
 
 
 def tier_bytes(bundle: Bundle, tier: str) -> int:

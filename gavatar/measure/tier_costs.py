@@ -41,7 +41,7 @@ def describe_tiers(path: Path, poses: Mapping[str, np.ndarray], size: int = SIZE
     speeds = measure_speeds([Choice(tier) for tier in tiers], bundle, many, cameras[CAPTURE], budget_s=TIMED_S)
     full, described = draw(default), []
     for tier, speed in zip(tiers, speeds, strict=True):
-        entry: dict[str, Any] = {"name": tier, "members": list(player_tiers()[tier].factory.members)}
+        entry: dict[str, Any] = {"name": tier, "members": list(player_tiers()[tier].kind.members)}
         drawn = full if tier == default else draw(tier)
         for name in sets:
             likeness = compare(drawn[name], full[name])

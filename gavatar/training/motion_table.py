@@ -29,6 +29,10 @@ class MotionTable(nn.Module):
     taken as it is given.
     """
 
+    initial_rotations: Tensor
+    initial_trans: Tensor
+    _expression: Tensor | None
+
     def __init__(self, motion: Motion, num_joints: int, joints: int = SMPL_BODY_JOINTS):
         super().__init__()
         self.fps, self.betas = motion.fps, motion.betas

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import Any
 
@@ -99,7 +100,9 @@ class Run:
         return self.built.avatar
 
 
-def open_run(directory: str | Path, stage: int | None = None, capture: str | Path | None = None) -> Run:
+def open_run(
+    directory: str | os.PathLike[str], stage: int | None = None, capture: str | os.PathLike[str] | None = None
+) -> Run:
     """Open a finished run for evaluation or export; the avatar is in eval mode on the CPU.
 
     stage: 1 or 2, by default the last that was trained. capture: where the footage is now, if it has moved.

@@ -67,7 +67,7 @@ class Scene:
     def place(self, uv: int) -> None:
         """Have the avatar's Gaussians on the points of the body's atlas of side `uv`."""
         surface = self.built.surface(uv)
-        if self.avatar.surface is not surface:
+        if not self.avatar.placed or self.avatar.surface is not surface:
             self.avatar.sample_at(surface)
 
     # --- poses --------------------------------------------------------------------------------------------------------
@@ -78,8 +78,8 @@ class Scene:
                 self._inputs[frame] = self.built.encoder_tensors(self.motion.motion(rows=[frame]).poses)
         return [torch.cat(values) for values in zip(*(self._inputs[f] for f in frames), strict=True)]
 
-    def pose_features(self, frames: Sequence[int]) -> Tensor:
-        """(B, C, M, M) what the encoder makes of the refined poses of `frames`."""
+    def pose_features(self, frames: Sequence[int]) -> Tensor | None:
+        """(B, C, M, M) what the encoder makes of the refined poses of `frames`, None of a static avatar."""
         return self.avatar.encode(*self.encoder_inputs(frames))
 
     def moved(self, frames: Sequence[int]) -> None:
@@ -94,6 +94,8 @@ class Scene:
 
     def settle_shape(self) -> ShapeVerdict:
         """From here on the avatar is the body of the shape as it is corrected now, to be placed afresh."""
+        if self.shape is None:
+            raise ValueError("the shape is not corrected")
         betas = self.shape.betas
         self.shape.settled = True
         self.built.reshape(betas)

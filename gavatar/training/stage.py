@@ -270,7 +270,7 @@ class Stage:
     def save(self, step: int) -> None:
         """Write metrics and checkpoint of a stage of which `step` steps are done."""
         scene, record = self.scene, self.record
-        record.write(None if scene.avatar.surface is None else len(scene.avatar.surface.points), finished=False)
+        record.write(len(scene.avatar.surface.points) if scene.avatar.placed else None, finished=False)
         learnt = {"exposure": scene.exposure, "shape": scene.shape} | self.optimizers
         save_tensors(
             record.directory / CHECKPOINT,

@@ -72,8 +72,8 @@ class Trainer:
             self.stage(plan.number).run(resume)
             state = None
         write_motion(self.directory / "motion.npz", self.scene.motion.motion())
-        surface = self.scene.avatar.surface
-        self.record.write(None if surface is None else len(surface.points), finished=True)
+        avatar = self.scene.avatar
+        self.record.write(len(avatar.surface.points) if avatar.placed else None, finished=True)
 
     def stage(self, number: int) -> Stage:
         """A stage, ready to run."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -85,8 +86,8 @@ class InstantAvatarCapture(CaptureReader):
             faults.add(f"{path / 'masks'} holds {len(masks)} masks, but {path / 'images'} holds {len(images)} images")
         whole = faults.of(self._whole, path, len(images) if images else None)
         frames = len(whole) if whole is not None else len(images or ())
-        splits = faults.of(self._splits, path, frames) if images else None
-        motion = faults.of(self._motion, path, splits, frames, whole) if splits else None
+        splits: Any = faults.of(self._splits, path, frames) if images else None
+        motion: Any = faults.of(self._motion, path, splits, frames, whole) if splits else None
         faults.stop()
         placement = Placement(motion, "smpl", upright(motion.poses))
         return Capture(

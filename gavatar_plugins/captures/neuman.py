@@ -72,7 +72,7 @@ class NeuManCapture(CaptureReader):
         names = sorted(colmap or {})
         alignments = faults.of(_alignments, path / "alignments.npy", names)
         poses = faults.of(self._poses, path, names)
-        splits = faults.of(_splits, path, names) if colmap else None
+        splits: Any = faults.of(_splits, path, names) if colmap else None
         faults.stop()
         placement, scale = _placement(poses, alignments, self.config.fps)
         moving = {}

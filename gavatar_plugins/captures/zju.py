@@ -68,11 +68,11 @@ class ZjuCapture(CaptureReader):
         path, faults = Path(path), faults or Faults()
         annots = path / "annots.npy"
         content = faults.of(_annots, annots)
-        frames = faults.of(_frames, annots, content, len(content["cams"]["K"])) if content else None
+        frames: Any = faults.of(_frames, annots, content, len(content["cams"]["K"])) if content else None
         sizes = faults.of(_sizes, path, frames) if frames else None
         cameras = faults.of(_cameras, annots, content["cams"], sizes) if content else None
-        chosen = faults.of(self._chosen, path, frames) if frames else None
-        placed = faults.of(self._motion, path, frames, chosen) if chosen else None
+        chosen: Any = faults.of(self._chosen, path, frames) if frames else None
+        placed: Any = faults.of(self._motion, path, frames, chosen) if chosen else None
         if chosen is None:  # it will not be opened, but what is wrong with the parameters is told too
             faults.of(self._loose_parameters, path)
         faults.stop()

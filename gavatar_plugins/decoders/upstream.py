@@ -38,6 +38,8 @@ class UpstreamDecoder(nn.Module):
     evaluated.
     """
 
+    warmup: Tensor
+
     def __init__(self, config: UpstreamConfig, *, in_channels: int):
         super().__init__()
         self.config = config

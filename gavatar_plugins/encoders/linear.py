@@ -57,6 +57,13 @@ class LinearEncoder(nn.Module):
     One that was seen in a single pose, or never, keeps its one look, and where nobody turns light changes nothing.
     """
 
+    mean: Tensor
+    low: Tensor
+    high: Tensor
+    carried: Tensor
+    rotation_mean: Tensor
+    components: Tensor
+
     def __init__(self, config: LinearConfig, *, channels: int, map_size: int | None = None):
         super().__init__()
         _check(config)

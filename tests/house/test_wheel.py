@@ -89,7 +89,8 @@ def test_the_wheel_carries_modules_presets_plugins_body_and_demo_capture(clone, 
         ("deploy/gavatar_runtime", "gavatar_runtime"),
     ):
         base = clone / folder
-        owed = {f"{package}/{p.relative_to(base).as_posix()}" for p in base.rglob("*") if p.suffix in (".py", ".npz")}
+        shipped = [p for p in base.rglob("*") if p.suffix in (".py", ".npz", ".typed")]
+        owed = {f"{package}/{p.relative_to(base).as_posix()}" for p in shipped}
         assert owed <= members
     owed = {f"gavatar/conf/{p.relative_to(clone / 'conf').as_posix()}" for p in (clone / "conf").rglob("*.yaml")}
     assert owed

@@ -58,7 +58,9 @@ class PoseBlendshapes:
     corner_weight: np.ndarray
 
     @classmethod
-    def of(cls, posedirs: np.ndarray, canonical_pose: np.ndarray, corners: np.ndarray, weights: np.ndarray):
+    def of(
+        cls, posedirs: np.ndarray, canonical_pose: np.ndarray, corners: np.ndarray, weights: np.ndarray
+    ) -> PoseBlendshapes:
         """From a body's posedirs (V, 3, 9 (J - 1)) and canonical pose (J, 3), of the vertices `corners` (N, 3) that
         points lie between."""
         used, corner = np.unique(corners, return_inverse=True)

@@ -154,7 +154,7 @@ def _convert(
         motion = _on_avatar(motion, avatar, ground)
     elif joints != "same":
         # what no skeleton tells stays as it is: a body will
-        kept = {"expression": motion.expression, "hands": motion.hands}
+        kept: dict[str, Any] = {"expression": motion.expression, "hands": motion.hands}
         motion, ignored = fit_motion(dataclasses.replace(motion, expression=None, hands=None), NAMES[joints])
         motion = dataclasses.replace(motion, **kept)
         if ignored:

@@ -124,6 +124,7 @@ def frame_slice(text: str) -> slice:
     step = numbers[2] if len(numbers) == 3 else None
     if not 1 <= len(numbers) <= 3 or numbers == [None] or (step is not None and step < 1):
         raise argparse.ArgumentTypeError(f"'{text}' is not A:B, A:B:STEP or A, in whole numbers")
-    if len(numbers) == 1:
-        return slice(numbers[0], numbers[0] + 1 or None)
+    first = numbers[0]
+    if len(numbers) == 1 and first is not None:
+        return slice(first, first + 1 or None)
     return slice(*numbers)

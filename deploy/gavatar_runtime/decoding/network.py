@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class Network:
         bundle: Bundle,
         member: str,
         inputs: tuple[str, ...] | None,
-        outputs,
+        outputs: tuple[str, ...],
         threads: int | None,
         *,
         by_rows: bool = False,
@@ -122,7 +123,7 @@ class Network:
         return list(out)
 
 
-def session_options(threads: int | None = None):
+def session_options(threads: int | None = None) -> Any:
     """The SessionOptions of a network that shares the CPUs with other work: `threads` within one operator, None for as
     many as `cpus.usable_cpus`, that sleep between operators; silent."""
     import onnxruntime  # a tenth of a second that reading a manifest need not pay

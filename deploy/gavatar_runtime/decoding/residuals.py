@@ -72,7 +72,9 @@ def upsample(base: np.ndarray, index: np.ndarray, weight: np.ndarray, table: np.
     return out
 
 
-def blendshapes_reference(base, part, basis, coefficients, gains, out: Attributes) -> Attributes:
+def blendshapes_reference(
+    base: np.ndarray, part: np.ndarray, basis: np.ndarray, coefficients: np.ndarray, gains: np.ndarray, out: Attributes
+) -> Attributes:
     """`blendshapes` in NumPy."""
     if len(part) and part.max() >= len(coefficients):
         raise IndexError(f"residuals: part has entries outside 0..{len(coefficients) - 1}")
@@ -83,7 +85,9 @@ def blendshapes_reference(base, part, basis, coefficients, gains, out: Attribute
     return _unpacked(base + residual, out)
 
 
-def upsample_reference(base, index, weight, table, out: Attributes) -> Attributes:
+def upsample_reference(
+    base: np.ndarray, index: np.ndarray, weight: np.ndarray, table: np.ndarray, out: Attributes
+) -> Attributes:
     """`upsample` in NumPy."""
     if index.size and not 0 <= index.min() <= index.max() < len(table):
         raise IndexError(f"residuals: index has entries outside 0..{len(table) - 1}")

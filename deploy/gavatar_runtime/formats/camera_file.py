@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -81,7 +82,7 @@ def _camera(path: Path, name: str, entry: object) -> Camera:
     return Camera(width, height, **values, T_camera_world=T)
 
 
-def _number(path: Path, name: str, field: str, value: object) -> float:
+def _number(path: Path, name: str, field: str, value: Any) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):

@@ -73,6 +73,8 @@ class _Wrapper(Held):
     """joblib.numpy_pickle.NumpyArrayWrapper: shape, order and dtype of an array whose bytes follow in the stream; those
     of an array of objects are a pickle of its own."""
 
+    content: Any
+
     def __new__(cls, *arguments: Any) -> _Wrapper:
         made = super().__new__(cls)
         made.arguments, made.state, made.content = arguments, None, b""

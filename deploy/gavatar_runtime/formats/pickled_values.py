@@ -11,7 +11,7 @@ import functools
 import math
 import types
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -39,6 +39,9 @@ class Held:
     `state` is set by the machine's BUILD; it is data, never code.
     """
 
+    arguments: tuple[Any, ...]
+    state: Any
+
     def __init__(self, *arguments: Any):
         self.arguments, self.state = arguments, None
 
@@ -52,6 +55,8 @@ class Unknown(Held):
     the value; without any it is unread."""
 
     name = ""
+    items: dict[Any, Any]
+    entries: list[Any]
 
     def __new__(cls, *arguments: Any, **named: Any) -> Unknown:
         made = super().__new__(cls)
@@ -95,7 +100,8 @@ def unknown(name: str) -> type[Unknown]:
 
 class Dtype(Held):
     def value(self, plain: Plain) -> np.dtype:
-        code, order = self.arguments[0], "|"
+        code: Any = self.arguments[0]
+        order: Any = "|"
         if isinstance(code, bytes):
             code = code.decode("latin1")
         if isinstance(self.state, tuple) and len(self.state) > 1:
@@ -135,7 +141,7 @@ class Scalar(Held):
         return array_of(content, dtype, (), "C", plain)[()]
 
 
-def array_of(content: Any, dtype: np.dtype, shape: Any, order: str, plain: Plain) -> np.ndarray:
+def array_of(content: Any, dtype: np.dtype, shape: Any, order: Literal["C", "F"], plain: Plain) -> np.ndarray:
     """The array of some bytes, or of a list of objects."""
     if not isinstance(shape, tuple) or not all(type(n) is int and n >= 0 for n in shape):
         raise ValueError(f"shape {shape!r}")
@@ -169,7 +175,8 @@ class _Sparse(Held):
         state = plain(self.state)
         if not isinstance(state, dict):
             raise ValueError("a sparse matrix without content")
-        shape = tuple(int(n) for n in state.get("_shape", state.get("shape", ())))
+        sizes: Any = state.get("_shape", state.get("shape", ()))
+        shape = tuple(int(n) for n in sizes)
         if len(shape) != 2 or min(shape) < 0 or math.prod(shape) > _MOST_DENSE:
             raise ValueError(f"a sparse matrix of shape {shape}")
         values = _ndarray(state["data"])
@@ -296,7 +303,8 @@ class PlainReader:
     """
 
     def __init__(self, lenient: bool = False):
-        self.lenient, self._known = lenient, {}
+        self.lenient = lenient
+        self._known: dict[int, tuple[Any, Any]] = {}
 
     def __call__(self, value: Any, depth: int = 0) -> Any:
         if depth > _DEEPEST:

@@ -16,6 +16,7 @@ import io
 import os
 import pickle
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -68,6 +69,10 @@ class Machine(pickle._Unpickler):
     stream costs nothing, and its operations can be narrowed."""
 
     dispatch: ClassVar[dict] = dict(pickle._Unpickler.dispatch)
+    # what the machine of the standard library sets on itself while it loads
+    stack: list[Any]
+    read: Callable[[int], bytes]
+    append: Callable[[Any], None]
 
     def __init__(self, stream: io.BytesIO, *, encoding: str = "ASCII", lenient: bool = False):
         super().__init__(stream, encoding=encoding)

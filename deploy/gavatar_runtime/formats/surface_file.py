@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import zipfile
 import zlib
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from .files import atomic
 def save_surface(path: str | os.PathLike, surface: Surface) -> None:
     """Write `surface` to an .npz without pickle, whole or not at all. Raises UserError when the place is unwritable."""
     with atomic(path) as temporary, open(temporary, "wb") as file:
-        np.savez(file, **surface.to_arrays())
+        arrays: dict[str, Any] = surface.to_arrays()
+        np.savez(file, **arrays)
 
 
 def load_surface(path: str | os.PathLike) -> Surface:

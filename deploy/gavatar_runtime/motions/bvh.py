@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +42,7 @@ class BvhOptions:
 class BvhFile(MotionSource):
     """A file of one person, 52 SMPL-H joints when read. facts: which rest pose was taken and why, once it is read."""
 
-    suffixes = (".bvh",)
+    suffixes: tuple[str, ...] = (".bvh",)
 
     def __init__(self, config: BvhOptions, *, path: Path):
         for name, known in (("up", AXES), ("rest", RESTS), ("units", UNITS), ("angles", ANGLES)):
@@ -69,7 +70,7 @@ class BvhFile(MotionSource):
             "them"
             for note in check_way(motion.trans, rate) if scale == 0
         ]  # fmt: skip
-        kept = {} if scale == 0 else {"leg_length": None}
+        kept: dict[str, Any] = {} if scale == 0 else {"leg_length": None}
         return dataclasses.replace(motion, fps=rate, notes=(*bvh.notes, *notes), **kept)
 
     def _doubts(self, bvh: Bvh, mapping: dict[str, int]) -> list[str]:

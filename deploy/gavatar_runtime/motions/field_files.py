@@ -81,10 +81,10 @@ def _scaling(path: Path, fields: dict[str, Any]) -> float:
     """Metres of the unit of AIST++'s smpl_trans: smpl_scaling is a body's metre in it (aist_plusplus/loader.py)."""
     if "smpl_scaling" not in fields:
         return 1.0
-    scaling = as_array(fields["smpl_scaling"])
-    if scaling is None or scaling.size != 1 or scaling.dtype.kind not in "fiu":
+    stated = as_array(fields["smpl_scaling"])
+    if stated is None or stated.size != 1 or stated.dtype.kind not in "fiu":
         raise UserError(f"{path}: smpl_scaling must be one positive number")
-    scaling = float(scaling.reshape(-1)[0])
+    scaling = float(stated.reshape(-1)[0])
     if not 0 < scaling < np.inf:
         raise UserError(f"{path}: smpl_scaling must be one positive number")
     return 1 / scaling
@@ -92,27 +92,27 @@ def _scaling(path: Path, fields: dict[str, Any]) -> float:
 
 @MOTIONS.register("amass", config=FieldOptions, summary="AMASS, SMPL/SMPL-H/SMPL-X and pose estimators' .npz")
 class NpzFile(FieldFile):
-    suffixes = (".npz",)
+    suffixes: tuple[str, ...] = (".npz",)
 
 
 @MOTIONS.register("npy", config=FieldOptions, summary=".npy: Motion-X, TRAM, or poses alone")
 class NpyFile(FieldFile):
-    suffixes = (".npy",)
+    suffixes: tuple[str, ...] = (".npy",)
 
 
 @MOTIONS.register("aist", config=FieldOptions, summary=".pkl and .joblib: AIST++, WHAM, 4D-Humans, 3DPW and others")
 class PickleFile(FieldFile):
-    suffixes = (".pkl", ".pickle", ".joblib")
+    suffixes: tuple[str, ...] = (".pkl", ".pickle", ".joblib")
 
 
 @MOTIONS.register("torch", config=FieldOptions, summary=".pth and .pt of tensors: GVHMR, GaussianAvatar, SMPL fields")
 class TorchFile(FieldFile):
-    suffixes = (".pth", ".pt")
+    suffixes: tuple[str, ...] = (".pth", ".pt")
 
 
 @MOTIONS.register("json", config=FieldOptions, summary=".json: EasyMocap, or SMPL fields")
 class JsonFile(FieldFile):
-    suffixes = (".json",)
+    suffixes: tuple[str, ...] = (".json",)
 
 
 @MOTIONS.register("frames", config=FieldOptions, summary="a folder of one file a frame: EasyMocap, SMPLify-X")

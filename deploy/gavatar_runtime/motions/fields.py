@@ -55,7 +55,8 @@ class SmplFields(HandFields):
         not to be meant; its `sentences` are one for every field at fault.
         """
         faults = Faults(collect=True)
-        poses, hands = faults.of(self._posed) or (None, None)
+        posed: tuple[Any, HandParameters | None] = faults.of(self._posed) or (None, None)
+        poses, hands = posed
         frames = self._rows() if poses is None else len(poses)
         trans = faults.of(self._trans, frames)
         rate = faults.of(self._fps, fps, default_fps, frames)
@@ -70,7 +71,7 @@ class SmplFields(HandFields):
     def _rows(self) -> int | None:
         """Frames of poses that could not be read, None where that cannot be told."""
         key = self.key((*WHOLE_KEYS, *BODY_KEYS))
-        shape = () if key is None or isinstance(self.arrays[key], str) else np.shape(self.arrays[key])
+        shape: tuple[int, ...] = () if key is None or isinstance(self.arrays[key], str) else np.shape(self.arrays[key])
         return shape[0] if len(shape) > 1 else None
 
     def _posed(self) -> tuple[np.ndarray, HandParameters | None]:
@@ -81,9 +82,10 @@ class SmplFields(HandFields):
             key = body if body is not None and np.shape(self.arrays[body])[-1:] in ((72,), (156,), (165,)) else None
         if key is not None:
             return self._whole(key)
-        if self.key(BODY_KEYS) is None or self.key(ROOT_KEYS) is None:
+        root, body = self.key(ROOT_KEYS), self.key(BODY_KEYS)
+        if root is None or body is None:
             raise poses_missing(self.path, self.arrays)
-        return self._assembled()
+        return self._assembled(root, body)
 
     def _whole(self, key: str) -> tuple[np.ndarray, HandParameters | None]:
         """Of one array of all joints; hands from fields of their own take the place of fingers that never move."""
@@ -125,9 +127,9 @@ class SmplFields(HandFields):
             self.notes += check_angles(self.path, key, poses.reshape(len(poses), -1, 3))
         return poses, kind
 
-    def _assembled(self) -> tuple[np.ndarray, HandParameters | None]:
+    def _assembled(self, root: str, body: str) -> tuple[np.ndarray, HandParameters | None]:
         """Of fields of body parts: 24 joints (a body_pose of 23), 22, 52 with hands, 55 with a face."""
-        faults, root, body = Faults(collect=True), self.key(ROOT_KEYS), self.key(BODY_KEYS)
+        faults = Faults(collect=True)
         parts = {root: faults.of(self._turned, root, 3), body: faults.of(self._turned, body, None)}
         width = 0 if parts[body] is None else parts[body].shape[1]
         if parts[body] is not None and width not in (63, 69):
@@ -146,7 +148,7 @@ class SmplFields(HandFields):
             if length == 0:
                 faults.add(f"{self.path}: {name} holds no frame")
             elif length not in (1, frames):
-                longest = max(lengths, key=lengths.get)
+                longest = max(lengths, key=lambda name: lengths[name])
                 faults.add(f"{self.path}: {name} has {length} frames and {longest} {frames}: they must agree")
         faults.stop()
         poses = np.concatenate([np.broadcast_to(part, (frames, part.shape[1])) for part in parts.values()], 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +14,7 @@ from ..values.motion import HandParameters, Motion
 def write_motion(path: str | os.PathLike, motion: Motion) -> None:
     """Write a motion with AMASS keys, which every reader of such files takes."""
     with atomic(path) as temporary:
-        np.savez(
-            temporary,
+        fields: dict[str, Any] = dict(
             poses=motion.poses.reshape(len(motion), -1).astype(np.float32),
             trans=motion.trans.astype(np.float32),
             betas=np.zeros(0) if motion.betas is None else motion.betas,
@@ -24,6 +24,7 @@ def write_motion(path: str | os.PathLike, motion: Motion) -> None:
             **({} if motion.expression is None else {"expression": motion.expression.astype(np.float32)}),
             **({} if motion.hands is None else _hand_fields(motion.hands)),
         )
+        np.savez(temporary, **fields)
 
 
 def _hand_fields(hands: HandParameters) -> dict[str, np.ndarray]:

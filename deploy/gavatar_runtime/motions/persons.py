@@ -62,15 +62,14 @@ def without_gaps(path: Path, motion: Motion, frames: np.ndarray | None) -> Motio
     exact = share == 0
     poses[exact] = motion.poses[low[exact]]
 
-    def between(array: np.ndarray | None) -> np.ndarray | None:
-        if array is None:
-            return None
+    def between(array: np.ndarray) -> np.ndarray:
         part = share.reshape(-1, *[1] * (array.ndim - 1))
         return (array[low] * (1 - part) + array[low + 1] * part).astype(array.dtype)
 
     hands = motion.hands and dataclasses.replace(motion.hands, values=between(motion.hands.values))
     note = f"the person is not seen at {frames_named(missing)}: filled between the neighbours"
+    expression = None if motion.expression is None else between(motion.expression)
     return dataclasses.replace(
-        motion, poses=poses.astype(np.float32), trans=between(motion.trans), expression=between(motion.expression),
+        motion, poses=poses.astype(np.float32), trans=between(motion.trans), expression=expression,
         hands=hands, notes=(*motion.notes, note),
     )  # fmt: skip

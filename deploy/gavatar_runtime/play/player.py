@@ -154,7 +154,7 @@ class _Gaussians(_Frames[Gaussians]):
 
 def _play(frames: _Frames[Frame], output: Output[Frame], progress: Progress | None, pipelined: bool) -> Timings:
     frames.avatar.follow(frames.motion)
-    timings = Timings()
+    timings: Timings = Timings()
     wanted = output.choose(len(frames.motion))
     threads = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
     decoding, writing = threads if pipelined else (_Inline(), _Inline())

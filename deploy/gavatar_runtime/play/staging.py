@@ -232,7 +232,7 @@ def _uv_on_screen(bundle: Bundle, clip: Clip, view: View, motion: Motion) -> int
 def _why_not_seen_only(avatar: Avatar, reuse: int) -> str:
     if reuse > 1:
         return "decodes that are reused are of all Gaussians: leave `reuse` out"
-    if player_tiers()[avatar.tier].factory.picks and avatar.dynamic:
+    if avatar.tier is not None and player_tiers()[avatar.tier].kind.picks and avatar.dynamic:
         return f"{avatar.bundle.path} was written before that was possible: export it again"
     return f"tier {avatar.tier} has nothing to leave out: it is for tiers that run networks, of an avatar with dynamics"
 

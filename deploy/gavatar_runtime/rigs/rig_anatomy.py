@@ -99,26 +99,26 @@ def _limb(
     joint between bends the wrong way. carried: degrees by which a hinge about none of the joint's axes may be brought
     nearer to the guess (`_carried`)."""
     upper, lower, _ = joints
-    bones = {upper: rig.bone(*joints[:2]), lower: rig.bone(*joints[1:])}
-    if bones[upper] is None:
+    above, below = rig.bone(*joints[:2]), rig.bone(*joints[1:])
+    if above is None:
         return
-    guessed = guess(bones[upper])
-    if bones[lower] is None:
-        _aim(rig, upper, bones[upper], direction, guessed, bends)
+    guessed = guess(above)
+    if below is None:
+        _aim(rig, upper, above, direction, guessed, bends)
         rig.follow(lower, upper, rig.standing)
         return
-    axes = _hinge(rig, (upper, lower), bones[upper], bones[lower])
-    if axes[upper] is not None and _between(axes[upper], guessed, rig.own(upper, bones[upper])) > _REVERSED:
+    bones = {upper: above, lower: below}
+    axes = _hinge(rig, (upper, lower), above, below)
+    turned = axes[upper]
+    if turned is not None and _between(turned, guessed, rig.own(upper, above)) > _REVERSED:
         axes = {joint: None if axis is None else -axis for joint, axis in axes.items()}
     if axes[upper] is not None and carried:
         axes = _carried(rig, axes, bones, guessed, carried)
     axes[lower] = told if axes[lower] is None else axes[lower]
-    if axes[upper] is None and axes[lower] is None:
-        axes[upper] = guessed
-    first, second = (lower, upper) if axes[upper] is None else (upper, lower)
-    _aim(rig, first, bones[first], direction, axes[first], bends)
-    axis = rig.carried(second, first, bends) if axes[second] is None else axes[second]
-    _aim(rig, second, bones[second], direction, axis, bends)
+    first, second = (lower, upper) if axes[upper] is None and axes[lower] is not None else (upper, lower)
+    leading, led = axes[first], axes[second]
+    _aim(rig, first, bones[first], direction, guessed if leading is None else leading, bends)
+    _aim(rig, second, bones[second], direction, rig.carried(second, first, bends) if led is None else led, bends)
 
 
 def _hinge(rig: SeenRig, joints: tuple[str, str], upper: np.ndarray, lower: np.ndarray) -> dict[str, np.ndarray | None]:

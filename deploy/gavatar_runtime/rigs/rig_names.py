@@ -9,6 +9,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import UserError, cannot_read, did_you_mean
 from ..values.skeletons import SMPLH
 
@@ -113,7 +115,7 @@ def _shared_start(names: list[str]) -> str:
     return "" if {"l", "r", "left", "right", "tfel", "thgir"} & set(sides) else longest
 
 
-def match_rig(names: list[str], parents: Sequence[int] | None) -> dict[str, int]:
+def match_rig(names: list[str], parents: Sequence[int] | np.ndarray | None) -> dict[str, int]:
     """SMPL-H joint name -> index in the rig, for the joints that the names tell; always holds `pelvis`: the joint that
     both legs hang from, whatever it and those above it are called.
 
@@ -177,7 +179,7 @@ def _line(joint: int, parents: Sequence[int]) -> list[int]:
     return line
 
 
-def pelvis_of(found: dict[str, int], parents: Sequence[int] | None) -> int:
+def pelvis_of(found: dict[str, int], parents: Sequence[int] | np.ndarray | None) -> int:
     """The lowest joint above both hips, 0 where they are not known."""
     if parents is None or not {"left_hip", "right_hip"} <= set(found):
         return 0
@@ -186,7 +188,7 @@ def pelvis_of(found: dict[str, int], parents: Sequence[int] | None) -> int:
 
 
 def _fingers(mine: dict[str, int]) -> dict[str, int]:
-    out = {}
+    out: dict[str, int] = {}
     for finger, words in FINGER_NAMES.items():
         for what, j in mine.items():
             match = re.fullmatch(rf"(?:hand|finger|f)?(?:{words})(?:finger)?(?:proximal|meta)?0?(\d?)", what)

@@ -140,7 +140,7 @@ def members_read(members: Iterable[str], stored: Iterable[str], tiers: Iterable[
     """Of the members of a bundle that stores some tiers, those that playing it by `tiers` reads: all but those that
     belong to others."""
     readers, members, tiers = player_tiers(), set(members), set(tiers)
-    of_tier = {name: set(readers[name].factory.members) for name in {*stored, *tiers}}
+    of_tier = {name: set(readers[name].kind.members) for name in {*stored, *tiers}}
     read = set().union(*(of_tier[name] for name in tiers))
     return (members - set().union(*of_tier.values())) | (read & members)
 

@@ -22,7 +22,7 @@ def baked_attributes(parts: Parts) -> Attributes:
 class Baked:
     """Decoded once; only skinning is left to each frame."""
 
-    members = (BAKED.file,)
+    members: tuple[str, ...] = (BAKED.file,)
     moves, networks, picks = False, False, False
 
     def __init__(self, options: NoOptions, *, parts: Parts):

@@ -50,13 +50,13 @@ class Coefficients:
         self._input_range = arrays["input_low"], arrays["input_high"]
         self._joints = arrays["joints"].astype(int)
         self._layers = _layers(arrays, len(self._input_range[0]), len(self._low), source)
-        self._turn = self._seen = None
+        self._turn: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._filmed: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         if "turn" in arrays:
-            self._turn, self._direct, self._owners = arrays["turn"], arrays["direct"], arrays["owners"].astype(int)
+            self._turn = arrays["turn"], arrays["direct"], arrays["owners"].astype(int)
         if "seen" in arrays:
-            self._seen, self._fade = arrays["seen"].astype(np.float32), arrays["fade"]
-            near = arrays["near"].astype(np.float32)
-            self._near = near / np.maximum(near.sum(1, keepdims=True), 1)
+            seen, near = arrays["seen"].astype(np.float32), arrays["near"].astype(np.float32)
+            self._filmed = seen, near / np.maximum(near.sum(1, keepdims=True), 1), arrays["fade"]
 
     def __call__(self, pose: np.ndarray) -> np.ndarray:
         """(P, K) for a pose (J, 3)."""
@@ -67,17 +67,19 @@ class Coefficients:
             if i < len(self._layers) - 1:
                 x = np.maximum(x, 0)
         if self._turn is not None:
-            turned = turn_input(pose, self._owners, self._parents)
-            x = x + bounded @ self._direct + np.einsum("pf,pfk->pk", turned, self._turn).ravel()
+            turn, direct, owners = self._turn
+            x = x + bounded @ direct + np.einsum("pf,pfk->pk", turn_input(pose, owners, self._parents), turn).ravel()
         weights = np.clip(x, self._low, self._high).reshape(self._parts, -1)
-        return weights if self._seen is None else weights * self.shares(given)[:, None]
+        return weights if self._filmed is None else weights * self.shares(given)[:, None]
 
     def shares(self, given: np.ndarray) -> np.ndarray:
         """(P,) in [0, 1]: how much of its residual each part keeps, from the root mean square distance of its joints'
         inputs to those of the nearest filmed pose."""
-        square = np.square(self._seen - given).reshape(len(self._seen), -1, 9).sum(-1)
-        distance = np.sqrt((square @ self._near.T).min(0))
-        near, far = self._fade
+        if self._filmed is None:
+            return np.ones(self._parts, np.float32)
+        seen, weight, (near, far) = self._filmed
+        square = np.square(seen - given).reshape(len(seen), -1, 9).sum(-1)
+        distance = np.sqrt((square @ weight.T).min(0))
         t = np.clip((far - distance) / (far - near), 0, 1)
         return t * t * (3 - 2 * t)
 
@@ -112,7 +114,7 @@ class Blendshape:
     the range of training, so that no pose can leave what was seen, and a part whose joints are far from every filmed
     pose loses its residual; see `members.BLENDSHAPE`."""
 
-    members = (BLENDSHAPE.file, BAKED.file)
+    members: tuple[str, ...] = (BLENDSHAPE.file, BAKED.file)
     moves, networks, picks = True, False, False
 
     def __init__(self, options: NoOptions, *, parts: Parts):

@@ -19,7 +19,7 @@ class Coarse:
     """The coarse points' residuals against their mean, weighted onto each Gaussian's still look; see
     `members.COARSE`."""
 
-    members = (ENCODER, DECODER_COARSE, COARSE.file, BAKED.file)
+    members: tuple[str, ...] = (ENCODER, DECODER_COARSE, COARSE.file, BAKED.file)
     moves, networks, picks = True, True, False
 
     def __init__(self, options: NoOptions, *, parts: Parts):

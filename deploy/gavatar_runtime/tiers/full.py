@@ -57,7 +57,8 @@ def decoder_network(parts: Parts, member: str, inputs: tuple[str, ...], *, by_ro
 class Full:
     """Encoder, then decoder on every Gaussian, or on the rows asked for."""
 
-    encoder, decoder = members = ENCODER, DECODER
+    encoder, decoder = ENCODER, DECODER
+    members: tuple[str, ...] = (ENCODER, DECODER)
     networks, picks = True, True
 
     def __init__(self, options: NoOptions, *, parts: Parts):
@@ -84,12 +85,12 @@ class Full:
         features = () if self._encoder is None else (self._encoder(pose),)
         encoded = perf_counter()
         self._calls += 1
-        out = self._out[self._calls % 3]
+        points, colors, scales = self._out[self._calls % 3]
         if rows is not None:
-            out = tuple(array[: len(rows)] for array in out)
-        points, colors, scales = out
+            points, colors, scales = points[: len(rows)], colors[: len(rows)], scales[: len(rows)]
+        out = points, colors, scales
         if self.picks:
-            wanted = self._chosen if rows is None else self._chosen[rows]
+            wanted = self._chosen if rows is None or self._chosen is None else self._chosen[rows]
             offsets = self._decoded[0][: len(scales)]
             self._run(features, wanted, (offsets, colors, scales))
         else:
@@ -106,8 +107,9 @@ class Full:
         if self._checked:
             self._decoder(*features, rows=rows, out=out)
             return
-        decoded = self._decoder(*features, rows=rows)
-        for target, array in zip(out, self._parts.check(tuple(decoded), self.decoder, len(out[2])), strict=True):
+        offsets, colors, scales = self._decoder(*features, rows=rows)
+        decoded = self._parts.check((offsets, colors, scales), self.decoder, len(out[2]))
+        for target, array in zip(out, decoded, strict=True):
             target[...] = array
         self._checked = True
 
@@ -127,4 +129,5 @@ class Full:
 class Int8(Full):
     """As `full`, by the quantised members."""
 
-    encoder, decoder = members = ENCODER_INT8, DECODER_INT8
+    encoder, decoder = ENCODER_INT8, DECODER_INT8
+    members: tuple[str, ...] = (ENCODER_INT8, DECODER_INT8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..geometry.kinematics import joint_transforms, skinning_transforms
 from ..geometry.rotations import matrix_from_axis_angle
@@ -108,8 +109,9 @@ class BodyData:
         return offsets.reshape(*poses.shape[:-2], *self.v_template.shape)
 
     def full_pose(
-        self, global_orient=None, body_pose=None, *, jaw=None, left_eye=None, right_eye=None, left_hand=None,
-        right_hand=None, pca: bool = False,
+        self, global_orient: ArrayLike | None = None, body_pose: ArrayLike | None = None, *,
+        jaw: ArrayLike | None = None, left_eye: ArrayLike | None = None, right_eye: ArrayLike | None = None,
+        left_hand: ArrayLike | None = None, right_hand: ArrayLike | None = None, pca: bool = False,
     ) -> np.ndarray:  # fmt: skip
         """(..., J, 3) axis-angle of every joint from the parts that SMPL-family files keep apart, each of them zero
         where None. Leading axes are a batch.
@@ -161,7 +163,11 @@ class BodyData:
         return skinning_transforms(joint_transforms(poses, joints, self.parents), joints)
 
     def posed(
-        self, poses: np.ndarray, betas: np.ndarray | None = None, trans=None, expression: np.ndarray | None = None
+        self,
+        poses: np.ndarray,
+        betas: np.ndarray | None = None,
+        trans: np.ndarray | None = None,
+        expression: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """(..., V, 3) vertices and (..., J, 3) joints of poses (..., J, 3), pose blendshapes included.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Camera:
         )
 
 
-def look_at(eye, target, up=(0.0, 1.0, 0.0)) -> np.ndarray:
+def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) -> np.ndarray:
     """(4, 4) T_camera_world of a camera at `eye` looking at `target`, both (3,) in the world; `up` need not be
     perpendicular. Raises ValueError when eye and target coincide."""
     eye, target, up = (np.asarray(v, np.float64) for v in (eye, target, up))

@@ -88,15 +88,14 @@ def joined(motions: Sequence[Motion]) -> Motion:
     """One motion after the other, with the first one's rate, shape and name; expression and hand parameters only where
     all have them alike."""
     first = motions[0]
-    fields = {name: np.concatenate([getattr(m, name) for m in motions]) for name in ("poses", "trans")}
-    expressions = [m.expression for m in motions]
-    same = all(e is not None and e.shape[1] == expressions[0].shape[1] for e in expressions)
-    hands = [m.hands for m in motions]
-    kinds = {None if h is None else (h.values.shape[2], h.pca, h.relative) for h in hands}
-    alike = len(kinds) == 1 and None not in kinds
+    expressions = [m.expression for m in motions if m.expression is not None]
+    same = len(expressions) == len(motions) and len({e.shape[1] for e in expressions}) == 1
+    hands = [m.hands for m in motions if m.hands is not None]
+    alike = len(hands) == len(motions) and len({(h.values.shape[2], h.pca, h.relative) for h in hands}) == 1
     return dataclasses.replace(
         first,
-        **fields,
+        poses=np.concatenate([m.poses for m in motions]),
+        trans=np.concatenate([m.trans for m in motions]),
         expression=np.concatenate(expressions) if same else None,
         hands=dataclasses.replace(hands[0], values=np.concatenate([h.values for h in hands])) if alike else None,
     )

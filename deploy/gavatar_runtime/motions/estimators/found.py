@@ -75,8 +75,8 @@ def natural(key: Hashable) -> tuple:
 def _stacked(rows: list[dict[str, Any]]) -> dict[str, Any]:
     out = {}
     for key in rows[0]:
-        values = [_one_row(row.get(key)) for row in rows]
-        if all(value is not None and value.shape == values[0].shape for value in values):
+        values = [array for row in rows if (array := _one_row(row.get(key))) is not None]
+        if len(values) == len(rows) and all(value.shape == values[0].shape for value in values):
             out[key] = np.stack(values)
     return out
 

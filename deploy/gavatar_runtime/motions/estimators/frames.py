@@ -32,7 +32,7 @@ def phalp(content: Any) -> Found | None:
 def _phalp_frame(frame: dict[str, Any]) -> Frame:
     """The persons that were seen in the frame; those of whom it only holds what was seen before are left out."""
     bodies, ids, ages = (list(frame.get(key) or ()) for key in ("smpl", "tid", "tracked_time"))
-    ids = ids if len(ids) == len(bodies) else range(len(bodies))
+    ids = ids if len(ids) == len(bodies) else list(range(len(bodies)))
     ages = ages if len(ages) == len(bodies) else [0] * len(bodies)
     return [(i, body) for i, body, age in zip(ids, bodies, ages, strict=True) if isinstance(body, dict) and not age]
 
@@ -55,6 +55,8 @@ def romp(content: Any) -> Found | None:
         return None
     tracked = all("track_ids" in f for f in ([results] if "smpl_thetas" in results else results.values()) if len(f))
     found = stacked(frames)
+    if found is None:
+        return None
     found.notes += () if tracked or len(found.people) < 2 else (UNTRACKED,)
     return found
 
@@ -64,9 +66,9 @@ def _romp_frame(frame: Any) -> Frame:
         return [(i, person) for i, person in enumerate(frame) if isinstance(person, dict)]
     if not isinstance(frame, dict) or (thetas := as_array(frame.get("smpl_thetas"))) is None or thetas.ndim != 2:
         return []
-    arrays = {key: as_array(value) for key, value in frame.items()}
-    arrays = {key: a for key, a in arrays.items() if a is not None and a.ndim and len(a) == len(thetas)}
-    ids = arrays.pop("track_ids", range(len(thetas)))
+    every = {key: as_array(value) for key, value in frame.items()}
+    arrays = {key: a for key, a in every.items() if a is not None and a.ndim and len(a) == len(thetas)}
+    ids: Any = arrays.pop("track_ids", range(len(thetas)))
     return [(int(ids[i]), {key: a[i] for key, a in arrays.items()}) for i in range(len(thetas))]
 
 

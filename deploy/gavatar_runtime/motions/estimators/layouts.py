@@ -75,7 +75,8 @@ def _pymaf_x(fields: dict[str, Any]) -> dict[str, Any]:
     if not all(isinstance(batch, dict) for batch in batches) or not batches:
         return fields
     arrays = {key: [as_array(batch.get(key)) for batch in batches] for key in batches[0]}
-    out = {k: np.concatenate(v) for k, v in arrays.items() if all(a is not None and a.ndim for a in v)}
+    whole = {k: [a for a in v if a is not None and a.ndim] for k, v in arrays.items()}
+    out: dict[str, Any] = {k: np.concatenate(v) for k, v in whole.items() if len(v) == len(batches)}
     body = out.get("body_pose")
     if body is not None and "global_orient" not in out and body.ndim > 2 and body.shape[1] == 22:
         out |= {"global_orient": body[:, :1], "body_pose": body[:, 1:]}

@@ -102,4 +102,8 @@ def _of_array(array: np.ndarray, path: Path, rotations: str) -> Found:
         raise positions_refused(path, "its array", array.shape[1])
     if array.ndim < 2:
         raise UserError(f"{path} holds an array of shape {array.shape}: no poses of a person")
-    return people_by(layout_of({"poses": array}), {"poses": array})
+    fields = {"poses": array}
+    layout = layout_of(fields)
+    if layout is None:
+        raise poses_missing(path, fields)
+    return people_by(layout, fields)

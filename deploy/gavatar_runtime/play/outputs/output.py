@@ -13,7 +13,7 @@ import os
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Literal, TypeVar, cast
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -201,4 +201,4 @@ def _class_of(component: Component[Output[Any]]) -> type[Output[Any]]:
         raise TypeError(
             f"output '{component.name}' of {component.origin} is no class derived from ImageOutput or GaussianOutput"
         )
-    return cast("type[Output[Any]]", factory)
+    return factory

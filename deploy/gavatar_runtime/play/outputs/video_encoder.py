@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-from types import ModuleType
 from typing import IO, Any, Protocol, cast
 
 import numpy as np
@@ -54,7 +53,8 @@ def require_encoder(path: Path) -> type[Encoder]:
     return encoder
 
 
-def _opencv() -> ModuleType | None:
+def _opencv() -> Any:
+    """The module cv2, None where it cannot be had."""
     try:
         import cv2
     except ImportError:  # also of a build that misses a library of the system, such as libGL

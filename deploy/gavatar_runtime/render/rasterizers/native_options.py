@@ -35,7 +35,7 @@ class NativeOptions:
     resolution: float = 1.0
     antialiased: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not 0 <= self.backface < 1:
             raise WrongValue(f"rasterizer.backface must be a cosine in [0, 1), 0 for off, got {self.backface}")
         if not 0 <= self.depth_cut < 1e30:

@@ -33,7 +33,9 @@ class Splats:
     dropped: int
 
 
-def project(gaussians: Gaussians, camera: Camera, dtype=np.float32, antialiased: bool = False) -> Splats:
+def project(
+    gaussians: Gaussians, camera: Camera, dtype: type[np.floating] = np.float32, antialiased: bool = False
+) -> Splats:
     """Project and sort, steps 1 and 2 of the rule; `antialiased` as in `NativeConfig`."""
     N = len(gaussians.means)
     means, scales, colors = (np.asarray(a, dtype) for a in (gaussians.means, gaussians.scales, gaussians.colors))
@@ -73,7 +75,10 @@ def _compensation(cov: np.ndarray) -> np.ndarray:
     return np.sqrt(np.where(ratio < 1, ratio, 1)).astype(cov.dtype)
 
 
-def _covariance(gaussians, camera: Camera, keep, u, v, z, scales, R) -> np.ndarray:
+def _covariance(
+    gaussians: Gaussians, camera: Camera, keep: np.ndarray, u: np.ndarray, v: np.ndarray, z: np.ndarray,
+    scales: np.ndarray, R: np.ndarray,
+) -> np.ndarray:  # fmt: skip
     """(M, 3) image covariance xx, xy, yy in px^2, low-pass included."""
     dtype = z.dtype
     margin_x, margin_y = FRUSTUM_MARGIN * 0.5 * camera.width, FRUSTUM_MARGIN * 0.5 * camera.height
@@ -111,7 +116,9 @@ def tile_lists(splats: Splats, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return tile[order], splat[order]
 
 
-def blend(splats: Splats, tile: np.ndarray, splat: np.ndarray, camera: Camera, background) -> Rendering:
+def blend(
+    splats: Splats, tile: np.ndarray, splat: np.ndarray, camera: Camera, background: Sequence[float] | np.ndarray
+) -> Rendering:
     """Steps 3 and 4 of the rule, tile by tile."""
     dtype = splats.depth.dtype
     across = -(-camera.width // TILE)
@@ -129,7 +136,9 @@ def blend(splats: Splats, tile: np.ndarray, splat: np.ndarray, camera: Camera, b
     return Rendering(color + left[..., None] * np.asarray(background, dtype), 1 - left, depth, splats.dropped)
 
 
-def _blend_tile(splats: Splats, members: np.ndarray, px: np.ndarray, py: np.ndarray):
+def _blend_tile(
+    splats: Splats, members: np.ndarray, px: np.ndarray, py: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     dtype = px.dtype
     T = np.ones((len(py), len(px)), dtype)
     alive = np.ones_like(T, bool)
@@ -156,7 +165,12 @@ def _blend_tile(splats: Splats, members: np.ndarray, px: np.ndarray, py: np.ndar
     return rgb, z, T
 
 
-def render(gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0), dtype=np.float32) -> Rendering:
+def render(
+    gaussians: Gaussians,
+    camera: Camera,
+    background: Sequence[float] | np.ndarray = (1.0, 1.0, 1.0),
+    dtype: type[np.floating] = np.float32,
+) -> Rendering:
     """Draw `gaussians` as `rules` says, in float32 or float64. Arrays of the Rendering have that dtype."""
     splats = project(gaussians, camera, dtype)
     return blend(splats, *tile_lists(splats, camera), camera, background)
