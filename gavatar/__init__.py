@@ -44,10 +44,13 @@ __all__ = [
 _MAKING = ("MadeAvatar", "make")
 
 
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module 'gavatar' has no attribute '{name}'")
-    return getattr(import_from_extra("gavatar.making" if name in _MAKING else "gavatar.face", f"gavatar.{name}"), name)
+if not TYPE_CHECKING:  # type checkers would take any name for one that it knows
+
+    def __getattr__(name: str) -> Any:
+        if name not in __all__:
+            raise AttributeError(f"module 'gavatar' has no attribute '{name}'")
+        home = "gavatar.making" if name in _MAKING else "gavatar.face"
+        return getattr(import_from_extra(home, f"gavatar.{name}"), name)
 
 
 def __dir__() -> list[str]:
