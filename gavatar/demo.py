@@ -131,6 +131,9 @@ def _play(bundle: Path, motion: str, out: Path) -> dict:
 
 def _summary(evaluations: dict[str, Evaluation], manifest, plays: dict[str, dict], seconds: float) -> dict:
     dynamic = evaluations["+opt+dyn"]
+    before, after = dynamic.estimated_mpjpe_mm, dynamic.row("train", "refined").mpjpe_mm
+    assert before is not None  # the shipped capture holds the true poses
+    assert after is not None
     wave = plays["wave"]
     return {
         "seconds": round(seconds, 1),
@@ -138,8 +141,8 @@ def _summary(evaluations: dict[str, Evaluation], manifest, plays: dict[str, dict
         "psnr_opt": round(evaluations["+opt"].row(HELD_OUT, "true").psnr, 3),
         "psnr_opt_dyn": round(dynamic.row(HELD_OUT, "true").psnr, 3),
         "psnr_split": f"{HELD_OUT}, the capture's true poses, whole 256x256 frames on white",
-        "mpjpe_before_mm": round(dynamic.estimated_mpjpe_mm[0], 2),
-        "mpjpe_after_mm": round(dynamic.row("train", "refined").mpjpe_mm, 2),
+        "mpjpe_before_mm": round(before[0], 2),
+        "mpjpe_after_mm": round(after, 2),
         "export_error_m": manifest.export_check["position_m"],
         "fps": round(wave["frames_per_second"], 2),
         "gaussians": manifest.gaussians,
@@ -202,9 +205,10 @@ def summary_picture(evaluations: dict[str, Evaluation], plays: dict[str, dict], 
 
 
 def _column(view: View, run: Run, evaluators: dict[str, Evaluator]) -> np.ndarray:
-    color, alpha = run.capture.load(view)
+    (color, alpha), truth = run.capture.load(view), run.capture.truth
+    assert truth is not None  # as in `_summary`
     target = color + (1 - alpha[..., None])
-    renders = {name: evaluator.render(view, run.capture.truth) for name, evaluator in evaluators.items()}
+    renders = {name: evaluator.render(view, truth) for name, evaluator in evaluators.items()}
     cells = {f"footage {view}": target, **renders}
     cells["error of the last"] = error_map(target, list(renders.values())[-1])
     return np.concatenate([_captioned(image, text) for text, image in cells.items()])

@@ -83,17 +83,29 @@ class Rasterizer(Protocol):
 
 
 class TierSource(Protocol):
-    """A trained avatar with dynamics, as builders of tiers see it.
+    """A trained avatar with dynamics, as builders of tiers see it. progress: whether to show bars."""
 
-    avatar: in eval mode, on the points of the bundle. surface: these N points. train_poses: (F, J, 3) refined poses of
-    the training frames. mean_poses: those of them that the still look is the mean of. progress: whether to show bars.
-    """
-
-    avatar: Avatar
-    surface: Surface
-    train_poses: np.ndarray
-    mean_poses: np.ndarray
     progress: bool
+
+    @property
+    def avatar(self) -> Avatar:
+        """In eval mode, on the points of the bundle."""
+        raise NotImplementedError
+
+    @property
+    def surface(self) -> Surface:
+        """These N points."""
+        raise NotImplementedError
+
+    @property
+    def train_poses(self) -> np.ndarray:
+        """(F, J, 3) refined poses of the training frames."""
+        raise NotImplementedError
+
+    @property
+    def mean_poses(self) -> np.ndarray:
+        """Those of them that the still look is the mean of."""
+        raise NotImplementedError
 
     def surface_at(self, uv: int) -> Surface:
         """The body sampled at uv x uv texels."""

@@ -290,7 +290,7 @@ def _unpack_surface(arrays: Mapping[str, np.ndarray], prefix: str, source: str) 
     texel, side = known["texel"], int(known["resolution"])
     count = len(texel)
     nan = np.full((count, 3), np.nan, np.float32)
-    left_out = {
+    left_out: dict[str, Any] = {
         "uv": ((np.stack([texel % side, texel // side], -1) + 0.5) / side).astype(np.float32),
         "face": np.full(count, -1, np.int32),
         "barycentric": nan,

@@ -30,7 +30,7 @@ def cpu_quota(root: Path | None = None) -> float | None:
 
 def _groups(root: Path) -> list[Path]:
     """The folders of this process's control groups that may limit CPU time, with those above them up to the mount."""
-    own = {}  # controllers ('' is v2): path in the hierarchy
+    own: dict[str, str] = {}  # controllers ('' is v2): path in the hierarchy
     for line in _lines(root / "proc/self/cgroup"):
         _, controllers, path = (*line.split(":", 2), "", "")[:3]
         own |= {controller: path for controller in controllers.split(",")}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import inspect
 import numbers
 import os
 import tempfile
@@ -90,7 +91,7 @@ def _fingerprint(body: BodyData, betas: np.ndarray | None, resolution: int, orde
     """Hash of everything the surface depends on, this code included."""
     digest = hashlib.sha256(f"{resolution} {order} {' '.join(body.joint_names)}".encode())
     for module in (body_module, kinematics, rotations, runtime_surface):
-        digest.update(Path(module.__file__).read_bytes())
+        digest.update(Path(inspect.getfile(module)).read_bytes())
     digest.update(Path(__file__).read_bytes())
     shape = np.zeros(0) if betas is None else np.asarray(betas, np.float64).reshape(-1)
     arrays = (body.v_template, body.shapedirs, body.J_regressor, body.parents, body.lbs_weights, body.faces, body.uv)
@@ -240,7 +241,7 @@ def _normals(
 
     face_normals: (F, 3), twice the area long. Where the interpolated normal vanishes, the face's own is taken.
     """
-    at_vertex = np.stack(
+    at_vertex: np.ndarray = np.stack(
         [np.bincount(faces.reshape(-1), np.repeat(face_normals[:, axis], 3), num_vertices) for axis in range(3)], -1
     )
     at_vertex /= np.maximum(np.linalg.norm(at_vertex, axis=-1, keepdims=True), 1e-300)

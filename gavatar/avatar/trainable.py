@@ -93,8 +93,8 @@ class Avatar(nn.Module):
     ):
         super().__init__()
         self.config, self.skeleton = config, skeleton
-        self.encoder: Any = encoder  # a module that is an `Encoder` too: there is no type for both at once
-        self.decoder = decoder
+        self.encoder: Any = encoder  # modules that are an `Encoder` and a `Decoder` too: no type is both at once
+        self.decoder: Any = decoder
         self.encoder_traits = encoder_traits or EncoderTraits(static=encoder is None)
         self.decoder_traits = decoder_traits or DecoderTraits()
         self.with_normals = False  # whether `pose` gives normals, for rasterizers that want them

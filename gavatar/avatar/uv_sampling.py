@@ -64,8 +64,8 @@ class _Plan:
 def _rows(rows: np.ndarray, columns: np.ndarray, values: np.ndarray, count: int) -> tuple[Tensor, Tensor, Tensor]:
     """Compressed rows: (count + 1,) offsets, columns and values of entries sorted by row."""
     offsets = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=count))])
-    kinds = zip((offsets, columns, values), (np.int32, np.int32, np.float32), strict=True)
-    return tuple(torch.as_tensor(np.ascontiguousarray(x, kind)) for x, kind in kinds)
+    ints = [torch.as_tensor(np.ascontiguousarray(x, np.int32)) for x in (offsets, columns)]
+    return ints[0], ints[1], torch.as_tensor(np.ascontiguousarray(values, np.float32))
 
 
 def _product(matrix: tuple[Tensor, Tensor, Tensor], table: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import cv2
@@ -113,8 +114,8 @@ def silhouette(joints: np.ndarray, camera: Camera, parents: np.ndarray) -> np.nd
     for joint, parent in enumerate(parents):
         if parent >= 0 and seen[joint] and seen[parent]:
             width = LIMB * camera.fx * 2 / (pixels[joint, 2] + pixels[parent, 2])
-            ends = [tuple(int(v) for v in np.round(pixels[j, :2])) for j in (parent, joint)]
-            cv2.line(image, *ends, 1, int(np.clip(round(width), 1, SIDE)))
+            start, end = (tuple(int(v) for v in np.round(pixels[j, :2])) for j in (parent, joint))
+            cv2.line(image, start, end, 1, int(np.clip(round(width), 1, SIDE)))
     if seen[_HEAD]:
         radius = int(np.clip(round(HEAD * camera.fx / pixels[_HEAD, 2]), 1, SIDE))
         cv2.circle(image, tuple(int(v) for v in np.round(pixels[_HEAD, :2])), radius, 1, -1)
@@ -161,6 +162,9 @@ def _readings(capture: Capture, bones: _Bones) -> list[tuple[str, Place]]:
     def shifted(T: np.ndarray, factor: float) -> np.ndarray:
         return np.block([[T[:3, :3], T[:3, 3:] * factor], [np.zeros((1, 3)), np.ones((1, 1))]])
 
+    def turned(x: np.ndarray, R: np.ndarray) -> np.ndarray:
+        return x @ R.T
+
     def bodies(change: Callable[[np.ndarray], np.ndarray]) -> Place:
         return lambda view: (change(bones.joints[view.frame]), capture.camera(view))
 
@@ -184,17 +188,12 @@ def _readings(capture: Capture, bones: _Bones) -> list[tuple[str, Place]]:
     ]  # fmt: skip
     for unit, factor in (("millimetres", 1e-3), ("centimetres", 1e-2)):
         found.append((f"when the body's translations are {unit}: give metres", scaled(factor)))
-        found.append(
-            (f"when the cameras' translations are {unit}: give metres", cameras(lambda T, f=factor: shifted(T, f)))
-        )
-        found.append(
-            (
-                f"when the cameras' translations were metres taken for {unit}",
-                cameras(lambda T, f=factor: shifted(T, 1 / f)),
-            )
-        )
+        near, far = functools.partial(shifted, factor=factor), functools.partial(shifted, factor=1 / factor)
+        found.append((f"when the cameras' translations are {unit}: give metres", cameras(near)))
+        found.append((f"when the cameras' translations were metres taken for {unit}", cameras(far)))
     found += [
-        (f"when the body's world has {axis} up: bring poses and cameras into one world", bodies(lambda x, R=R: x @ R.T))
+        (f"when the body's world has {axis} up: bring poses and cameras into one world",
+         bodies(functools.partial(turned, R=R)))
         for axis, R in Y_UP_FROM.items() if axis != "y"
     ]  # fmt: skip
     return found

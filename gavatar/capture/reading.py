@@ -146,7 +146,7 @@ def with_images(
             f"{listing} lists {len(views)} images of which {len(missing)} are missing, the first "
             f"{next(iter(missing.values()))}: copy the whole capture"
         )
-    cameras = {}
+    cameras: dict[str, list[int]] = {}
     for view in missing:
         cameras.setdefault(view.camera, []).append(view.frame)
     named = "; ".join(f"of camera {name} {frames_named(frames)}" for name, frames in cameras.items())

@@ -47,7 +47,7 @@ class Job:
 
     def __call__(self, config: DictConfig) -> None:
         """Train in Hydra's output directory. Errors are written down, not raised: other jobs go on."""
-        hydra = HydraConfig.get()
+        hydra: Any = HydraConfig.get()
         directory = Path(hydra.runtime.output_dir)
         shown = os.path.relpath(directory)
         if os.getpid() != self.home:

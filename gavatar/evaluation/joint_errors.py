@@ -43,7 +43,8 @@ def part_errors(built: AvatarBuild, motion: Motion, truth: Motion, frames: Seque
     moved = np.abs(true_poses - data.rest_pose).max((0, 2)) > 1e-4
     out = PartErrors()
     if any(moved[names.index(name)] for name in FINGERS if name in names):
-        out.mpjpe_hands_mm = float(mpjpe_hands(*(joints_of(built, m, frames) for m in (motion, truth)), names).mean())
+        mine, theirs = (joints_of(built, m, frames) for m in (motion, truth))
+        out.mpjpe_hands_mm = float(mpjpe_hands(mine, theirs, names).mean())
     if "jaw" in names and moved[names.index("jaw")]:
         jaw = names.index("jaw")
         poses = check_motion_fits(motion.poses[frames], data.num_joints)

@@ -50,8 +50,8 @@ def distil(
     owners, part = np.unique(joint, return_inverse=True)
     coefficients, bases = bases_by_part(residuals.stacked(poses), part, rank)
     further = source.wide_poses(wide)
-    flat = [_coefficients(residual, bases, part) for residual in residuals.of(further, "distilling far poses")]
-    flat = np.concatenate([coefficients, np.reshape(flat, (len(further), -1)).astype(np.float32)])
+    far = [_coefficients(residual, bases, part) for residual in residuals.of(further, "distilling far poses")]
+    flat = np.concatenate([coefficients, np.reshape(far, (len(further), -1)).astype(np.float32)])
     # the root's rotation matters where the look depends on where the person faces
     facing = "normal_map" in source.avatar.encoder_traits.inputs
     body = _Body(np.asarray(coarse.parents), owners, np.arange(0 if facing else 1, SMPL_BODY_JOINTS))

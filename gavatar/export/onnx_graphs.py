@@ -7,6 +7,7 @@ import copy
 import io
 import warnings
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import onnx
@@ -84,7 +85,7 @@ def _as_subpixel(layer: nn.ConvTranspose2d) -> nn.Sequential:
                     kernel[:, a, b, :, r, c] = weight[:, :, ky, kx].T
     conv = nn.Conv2d(inside, 4 * outside, 3, padding=1, bias=layer.bias is not None)
     conv.weight.data = kernel.reshape(4 * outside, inside, 3, 3)
-    if layer.bias is not None:
+    if layer.bias is not None and conv.bias is not None:
         conv.bias.data = layer.bias.detach().repeat_interleave(4)
     return nn.Sequential(conv, nn.PixelShuffle(2))
 
@@ -97,10 +98,9 @@ class RowDecoder(nn.Module):
     rows is several times faster than ONNX Runtime's GridSample.
     """
 
-    def __init__(self, avatar: Avatar, sampled_constant: bool):
+    def __init__(self, avatar: Avatar):
         super().__init__()
         self.decoder = fold_batchnorm(avatar.decoder)
-        self.sampled_constant = sampled_constant
 
     def forward(
         self,
@@ -114,7 +114,7 @@ class RowDecoder(nn.Module):
         sampled = texels[corner[:, 0]] * corner_weight[:, :1]
         for k in range(1, 4):
             sampled = sampled + texels[corner[:, k]] * corner_weight[:, k : k + 1]
-        if self.sampled_constant:
+        if constant is not None:
             sampled = sampled + constant
         out = self.decoder(sampled, uv, spacing)
         return out.offsets, out.colors, out.scales
@@ -122,7 +122,7 @@ class RowDecoder(nn.Module):
 
 def to_onnx(module: nn.Module, example: tuple[Tensor, ...], inputs: list[str], outputs: list[str]) -> onnx.ModelProto:
     """The traced module as an ONNX model of `OPSET`."""
-    buffer = io.BytesIO()
+    buffer: Any = io.BytesIO()  # this exporter writes to what is open too, which its types do not say
     with warnings.catch_warnings():
         # torch.export's exporter gives the same graph 25 times slower and with one more dependency
         warnings.simplefilter("ignore")
@@ -168,7 +168,7 @@ def decoder_model(avatar: Avatar, surface: Surface | None = None, quantize: Quan
         with torch.no_grad():
             scanned["constant"] = sample_uv(features, torch.from_numpy(np.asarray(surface.uv, np.float32)))[0].numpy()
     example = (torch.zeros(size * size, channels), *(torch.from_numpy(x[:chunk]) for x in scanned.values()))
-    rows = to_onnx(RowDecoder(avatar, not add_first).eval(), example, ["texels", *scanned], list(OUTPUTS))
+    rows = to_onnx(RowDecoder(avatar).eval(), example, ["texels", *scanned], list(OUTPUTS))
     if quantize is not None:
         inputs = {i.name for i in rows.graph.input}
         chunked = {name: _padded(values, chunk) for name, values in scanned.items() if name in inputs}

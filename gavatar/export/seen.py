@@ -12,6 +12,7 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.spacing import evenly_spaced
 from gavatar_runtime.progress import shown
 from gavatar_runtime.render.widening import as_trained
+from gavatar_runtime.values.gaussians import Gaussians
 
 from ..assemble import build_rasterizer
 from ..capture.capture import View
@@ -46,9 +47,10 @@ def seen(run: Run, margin: float = MARGIN, progress: bool = False) -> np.ndarray
     rasterize, motion = _rasterizer(run), run.motion.motion()
     largest = torch.zeros(len(run.avatar.surface))
     views = sorted(run.capture.views(run.config.train_split), key=lambda view: view.frame)
-    frame, gaussians = None, None
+    frame: int | None = None
+    gaussians: Gaussians | None = None
     for view in shown(views, "looking for what is seen", "view", show=progress):
-        if view.frame != frame:
+        if gaussians is None or view.frame != frame:
             frame, gaussians = view.frame, posed(run, motion, view.frame)
         camera = run.capture.camera(view)
         weights = pixel_weights(rasterize, as_trained(gaussians, camera, run.pixel), camera)

@@ -74,7 +74,10 @@ class AvatarSource(TierSource):
         return with_metadata(model, self.metadata)
 
     def features(self, poses: np.ndarray) -> torch.Tensor:
-        return pose_features(self.avatar, self.run.built, poses)
+        features = pose_features(self.avatar, self.run.built, poses)
+        if features is None:
+            raise ValueError("a static avatar has no pose features")
+        return features
 
     @torch.no_grad()
     def decode(self, pose: np.ndarray, surface: Surface) -> np.ndarray:

@@ -113,7 +113,7 @@ class Lpips(nn.Module):
         for (pooled, _), convolutions in zip(self.backbone.slices, self.slices, strict=True):
             if pooled:
                 x = F.max_pool2d(x, self.backbone.pool, 2)
-            for convolution in convolutions:
+            for convolution in convolutions.children():
                 x = F.relu(convolution(x))
             features.append(x)
         return features

@@ -177,8 +177,8 @@ class BodyFitter:
             metres = (depth.detach() / self.K[c][0])[..., None]
             distance = ((pixels - self.image[c]) * metres).square().sum(-1).add(1e-12).sqrt()
             image = image + _mean(measure(distance, options.image_sigma), self.visibility[c])
-            if masks is not None:
-                more_inside, more_reach = self._silhouette_terms(c, body.surface)
+            if masks is not None and body.surface is not None:
+                more_inside, more_reach = self._silhouette_terms(c, masks[c], body.surface)
                 inside, reach = inside + more_inside, reach + more_reach
         a, b = np.array(BONES).T
         direction = torch.nn.functional.normalize(body.landmarks[:, b] - body.landmarks[:, a], dim=-1)
@@ -211,8 +211,8 @@ class BodyFitter:
         lean, up = trunk - body.joints[:, FEET].mean(1), self.up()
         return lean - (lean @ up)[:, None] * up
 
-    def _silhouette_terms(self, c: int, surface: Tensor) -> tuple[Tensor, Tensor]:
-        silhouettes, options = self.silhouettes[c], self.options
+    def _silhouette_terms(self, c: int, silhouettes: Silhouettes, surface: Tensor) -> tuple[Tensor, Tensor]:
+        options = self.options
         pixels, depth = self.project(c, surface)
         metres = depth.detach().mean(1, keepdim=True) / self.K[c][0]
         # vertices are all counted: a whole limb outside costs more than a finger
@@ -260,7 +260,7 @@ class BodyFitter:
                 optimizer.zero_grad()
                 terms = self.losses(stage)
                 weights = self._weights(stage, step / steps)
-                total = sum(weights[k] * v for k, v in terms.items())
+                total = sum((weights[k] * v for k, v in terms.items()), torch.zeros(()))
                 total.backward()
                 optimizer.step()
                 schedule.step()

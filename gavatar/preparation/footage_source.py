@@ -13,7 +13,7 @@ masks are both absent, a detector finds them, in the longest shot of one person.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import cv2
@@ -130,7 +130,8 @@ def open_source(path: Path, options: SourceOptions | None = None) -> Source:
     if path.is_file():
         if path.suffix.lower() not in VIDEO_SUFFIXES:
             raise UserError(f"{path} is no video ({', '.join(VIDEO_SUFFIXES)}): give a folder of footage or a video")
-        found, cameras_file = {"cam0": path}, options.cameras
+        found: Mapping[str, list[Path] | Path] = {"cam0": path}
+        cameras_file = options.cameras
     else:
         found = _cameras_of(path)
         cameras_file = options.cameras or (path / "cameras.json" if (path / "cameras.json").is_file() else None)
@@ -172,7 +173,7 @@ def open_source(path: Path, options: SourceOptions | None = None) -> Source:
     return Source(footage, fps / parts[0].step, description, notes)
 
 
-def _cameras_of(folder: Path) -> dict[str, list[Path] | Path]:
+def _cameras_of(folder: Path) -> Mapping[str, list[Path] | Path]:
     """Image files or a video of every camera in a folder."""
     for base in (folder / "videos", folder / "frames"):
         if not base.is_dir():
@@ -225,6 +226,7 @@ def _take(
         )
     cuts = find_cuts(film.images(film.order[moments]))
     if given is None:
+        assert options.detector is not None  # `_beside` gives None only where something can look for the person
         moments, said = _one_shot(film, moments, cuts, "the scene changes", alone)
         notes += said
         chosen, masks, rate, moments, said = _found(film, moments, options.detector, alone)

@@ -110,7 +110,7 @@ def rays(camera: Camera, marks: Landmarks) -> np.ndarray:
     around the person and takes its middle for straight ahead. Identity where the hips were not seen."""
     hips = [INDEX["left_hip"], INDEX["right_hip"]]
     middle = (marks.image[:, hips].mean(1) - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-    x, y = np.where((marks.visibility[:, hips] > 0).all(1)[:, None], middle, 0).T
+    x, y = np.where((marks.visibility[:, hips] > 0).all(1, keepdims=True), middle, 0).T
     ray = np.stack([x, y, np.ones_like(x)], -1) / np.sqrt(1 + x**2 + y**2)[:, None]
     return rotation_between(np.array([0.0, 0.0, 1.0]), ray)
 

@@ -26,14 +26,14 @@ def refine_mask(image: np.ndarray, probability: np.ndarray) -> np.ndarray:
         return mask
     margin = max(8, round(0.08 * max(w, h)))
     y0, y1, x0, x1 = max(0, y - margin), y + h + margin, max(0, x - margin), x + w + margin
-    part, likely = image[y0:y1, x0:x1], np.float32(probability[y0:y1, x0:x1])
+    part, likely = image[y0:y1, x0:x1], probability[y0:y1, x0:x1].astype(np.float32)
     scale = min(1.0, WORK_SIDE / max(part.shape[:2]))
     size = max(4, round(part.shape[1] * scale)), max(4, round(part.shape[0] * scale))
     small, soft = (cv2.resize(a, size, interpolation=cv2.INTER_AREA) for a in (part, likely))
     for reach in REACH:
         radius = max(1, round(reach * scale * max(w, h)))
         soft = _steeper(cv2.ximgproc.guidedFilter(small, soft, radius, EDGE))
-    full = cv2.resize(soft, part.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    full: np.ndarray = cv2.resize(soft, part.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     full *= cv2.dilate(largest_piece((full > 0.5).astype(np.uint8)), np.ones((5, 5)))
     mask[y0:y1, x0:x1] = np.round(255 * full)
     return mask

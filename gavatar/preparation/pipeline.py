@@ -57,7 +57,7 @@ def fit_and_write(
             + (f"the cameras are {', '.join(names)}" if len(names) > 1 else "the only camera cannot be held out")
         )
     known = all(footage.lens is not None for footage in source.footage)
-    cameras = [f.camera if known else guess_camera(*f.size, fov) for f in source.footage]
+    cameras = [(f.camera if known else None) or guess_camera(*f.size, fov) for f in source.footage]
     silhouettes = [prepare_silhouettes(f.masks(), f.size) for f in source.footage]
     landmarks = [f.landmarks for f in source.footage]
     if options is not None and options.refine_cameras and not known:

@@ -85,8 +85,8 @@ class Person:
 class Pose:
     """The network's answer for one region. score: in [0, 1], whether a person is there. image: (33, 3) pixels x, y and
     depth relative to the hips in pixels. visibility: (33,). world: (33, 3) metres around the hips along camera axes.
-    outline: (256, 256) probability that a pixel of the crop is the person. region: where that crop lies, None when
-    there is nobody; following: where to look in the next frame."""
+    outline: (256, 256) probability that a pixel of the crop is the person. region: where that crop lies;
+    following: where to look in the next frame."""
 
     score: float
     image: np.ndarray
@@ -177,17 +177,16 @@ class PoseNetworks:
         mirrored: also ask about the mirror image and average, which halves the work's speed and lessens its noise.
         """
         crop = region.crop(image)[..., ::-1].astype(np.float32) / 255
-        answer = self._ask(crop)
+        points, world, outline, score = self._ask(crop)
         if mirrored:
-            points, world, outline, score = self._ask(np.ascontiguousarray(crop[:, ::-1]))
+            other_points, other_world, other_outline, other_score = self._ask(np.ascontiguousarray(crop[:, ::-1]))
             order = np.r_[MIRROR, np.arange(33, 39)]
-            points, world = points[order], world[order]
-            points[:, 0] = CROP_SIDE - points[:, 0]
-            world[:, 0] *= -1
-            other = points, world, outline[:, ::-1], score
+            other_points, other_world = other_points[order], other_world[order]
+            other_points[:, 0] = CROP_SIDE - other_points[:, 0]
+            other_world[:, 0] *= -1
             # the visibilities are averaged as logits
-            answer = tuple(0.5 * (a + b) for a, b in zip(answer, other, strict=True))
-        points, world, outline, score = answer
+            points, world = 0.5 * (points + other_points), 0.5 * (world + other_world)
+            outline, score = 0.5 * (outline + other_outline[:, ::-1]), 0.5 * (score + other_score)
         M = region.to_image()
         flat = points[:, :2] @ M[:, :2].T + M[:, 2]
         depth = points[:33, 2:3] * (region.side / CROP_SIDE)

@@ -39,7 +39,8 @@ def prepare_silhouettes(masks: Iterable[np.ndarray], size: tuple[int, int], coun
     w, h = max(2, round(size[0] * scale)), max(2, round(size[1] * scale))
     to_full = np.array([size[0] / w, size[1] / h], np.float32)
     parts = [_one_silhouette(mask, (w, h), to_full, count) for mask in masks]
-    return Silhouettes(*(torch.from_numpy(np.stack(part)) for part in zip(*parts, strict=True)), size=size)
+    outside, outline, normal, valid = (torch.from_numpy(np.stack(part)) for part in zip(*parts, strict=True))
+    return Silhouettes(outside, outline, normal, valid, size)
 
 
 def _one_silhouette(mask: np.ndarray, work_size: tuple[int, int], to_full: np.ndarray, count: int) -> tuple:

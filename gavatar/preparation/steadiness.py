@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 
@@ -34,9 +36,10 @@ class Steadiness:
             return
         if self.corners is None or len(self.corners) < 8:
             return
-        there, found, _ = cv2.calcOpticalFlowPyrLK(self.first, grey, self.corners, None)
-        back, returned, _ = cv2.calcOpticalFlowPyrLK(grey, self.first, there, None)
-        good = (found & returned).ravel() > 0
+        guess: Any = None  # OpenCV's types know no flow without one
+        there, found, _ = cv2.calcOpticalFlowPyrLK(self.first, grey, self.corners, guess)
+        back, returned, _ = cv2.calcOpticalFlowPyrLK(grey, self.first, there, guess)
+        good = np.logical_and(found, returned).ravel()
         good &= np.linalg.norm((back - self.corners).reshape(-1, 2), axis=1) < 1
         x, y = np.clip(there.reshape(-1, 2).round().astype(int), 0, np.array(size) - 1).T
         good &= person[y, x] <= 20  # the person walks before some corners

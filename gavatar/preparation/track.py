@@ -50,18 +50,21 @@ def _next(found: list[Person], last: Pose | None, least: float) -> Person | None
         return None
     if last is None:
         return max(found, key=lambda p: p.region.side)
-    return min(found, key=lambda p: float(np.linalg.norm(p.region.centre - last.following.centre)))
+    lost_at = last.following.centre
+    return min(found, key=lambda p: float(np.linalg.norm(p.region.centre - lost_at)))
 
 
-def poses(images: Iterable[np.ndarray], networks: PoseNetworks, least: float) -> Iterator[tuple[np.ndarray, Pose]]:
-    """Every image with the followed person's pose, whose score is below `PRESENT` where they were not found.
+def poses(
+    images: Iterable[np.ndarray], networks: PoseNetworks, least: float
+) -> Iterator[tuple[np.ndarray, Pose | None]]:
+    """Every image with the followed person's pose, None where they were not found.
 
     least: smallest region, pixels, that a person to be followed may have.
     """
     last: Pose | None = None
     lost = True
     for image in images:
-        pose = None if lost else networks.landmarks(image, last.following)
+        pose = None if lost or last is None else networks.landmarks(image, last.following)
         if pose is None or pose.score < PRESENT:
             person = _next(networks.detect(image), last, least)
             pose = None if person is None else networks.landmarks(image, person.region)
@@ -70,12 +73,7 @@ def poses(images: Iterable[np.ndarray], networks: PoseNetworks, least: float) ->
                 pose = networks.landmarks(image, pose.following)
         lost = pose is None or pose.score < PRESENT
         last = last if lost else pose
-        yield image, (_absent() if lost else pose)
-
-
-def _absent() -> Pose:
-    nothing = np.zeros((33, 3))
-    return Pose(0.0, nothing, np.zeros(33), nothing, np.zeros((1, 1)), None, None)
+        yield image, None if lost else pose
 
 
 def track(
@@ -107,7 +105,7 @@ def track(
     for t, (image, pose) in enumerate(shown(found, f"find person in {what}", "frame", total=count, show=progress)):
         size = image.shape[1], image.shape[0]
         mask = np.zeros(image.shape[:2], np.uint8)
-        if pose.region is not None:
+        if pose is not None:
             image_points[t], world[t] = pose.image[:, :2], pose.world
             visibility[t] = np.where(_inside(pose.image, size), pose.visibility, 0.3 * pose.visibility)
             mask = refine_mask(image, pose.region.paste(pose.outline.astype(np.float32), *size))
@@ -120,7 +118,7 @@ def track(
 
 
 def _inside(points: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    return ((points[:, :2] >= 0) & (points[:, :2] <= size)).all(1)
+    return np.all((points[:, :2] >= 0) & (points[:, :2] <= size), axis=1)
 
 
 def _sharpness(image: np.ndarray, mask: np.ndarray) -> float:

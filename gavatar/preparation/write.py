@@ -173,14 +173,15 @@ class _Preview:
     def add(self, t: int, tiles: list[np.ndarray | None]) -> None:
         if not self.wanted:
             return
-        height = max(tile.shape[0] for tile in tiles)
-        picture = np.hstack([cv2.copyMakeBorder(i, 0, height - i.shape[0], 0, 0, cv2.BORDER_CONSTANT) for i in tiles])
+        given = [tile for tile in tiles if tile is not None]
+        height = max(tile.shape[0] for tile in given)
+        picture = np.hstack([cv2.copyMakeBorder(i, 0, height - i.shape[0], 0, 0, cv2.BORDER_CONSTANT) for i in given])
         if t in self.sampled:
             self.sheet.append(picture)
         # video codecs want even sides
         even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
         if self.video is None and even.size:
-            code = cv2.VideoWriter_fourcc(*"mp4v")
+            code = cv2.VideoWriter.fourcc(*"mp4v")
             self.video = cv2.VideoWriter(str(self.folder / "preview.mp4"), code, self.fps, even.shape[1::-1])
         if self.video is not None:
             self.video.write(np.ascontiguousarray(even))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -149,7 +150,7 @@ def footage(
     the size of the largest person plus a margin of an eighth on each side, so that a body still out of place is seen;
     sides are multiples of 16 when cropped.
     """
-    sized = []
+    sized: list[tuple[Any, ...]] = []
     for view, (color, alpha) in zip(views, full, strict=True):
         camera = capture.camera(view).scaled(scale)
         images = [color, alpha] + ([edge_known(alpha, mask_edge)] if mask_edge > 0 else [])
@@ -160,23 +161,23 @@ def footage(
         sized.append((camera, *images))
     if crop:
         sized = _crop(sized)
-    cameras, color, alpha, *known = zip(*sized, strict=True)
+    cameras, colors, alphas, *known = zip(*sized, strict=True)
     return Footage(
         views,
         list(cameras),
-        torch.from_numpy(np.stack(color)).permute(0, 3, 1, 2).contiguous(),
-        torch.from_numpy(np.stack(alpha)),
+        torch.from_numpy(np.stack(colors)).permute(0, 3, 1, 2).contiguous(),
+        torch.from_numpy(np.stack(alphas)),
         torch.from_numpy(np.stack(known[0])) if known else None,
     )
 
 
 def _crop(sized: list) -> list:
-    boxes = []
+    found = []
     for camera, _, alpha, *_ in sized:
         rows, cols = np.flatnonzero(alpha.any(1)), np.flatnonzero(alpha.any(0))
         whole = (0, 0, camera.width, camera.height)
-        boxes.append((cols[0], rows[0], cols[-1] + 1, rows[-1] + 1) if len(rows) else whole)
-    boxes = np.array(boxes)
+        found.append((cols[0], rows[0], cols[-1] + 1, rows[-1] + 1) if len(rows) else whole)
+    boxes = np.array(found)
     extent = (boxes[:, 2:] - boxes[:, :2]).max(0) * 1.25
     limit = np.max([[camera.width, camera.height] for camera, *_ in sized], 0)
     width, height = (int(v) for v in np.minimum(np.ceil(extent / 16) * 16, limit))

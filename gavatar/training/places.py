@@ -42,7 +42,7 @@ class WrittenRun:
         """UserError naming the file unless this version can read it."""
         path = directory / CONFIG
         try:
-            written = OmegaConf.load(path)
+            written: Any = OmegaConf.load(path)
             seen = written.get(FROM_HERE) or {}
             return cls(directory, check(written), dict(seen), str(written.get(CONTENT) or ""))
         except UserError as error:

@@ -28,5 +28,6 @@ def multiplies_bfloat16(device: torch.device) -> bool:
         return torch.cuda.get_device_capability(device) >= (8, 0)
     if device.type != "cpu" or not torch.backends.mkldnn.is_available():
         return False
-    able = getattr(torch.cpu, "get_capabilities", dict)()  # newer than the oldest torch that is supported
+    # newer than the oldest torch that is supported
+    able: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
     return bool(able.get("avx512_bf16") or able.get("amx_bf16"))

@@ -144,9 +144,9 @@ class Scene:
     ) -> Comparison:  # fmt: skip
         """The views in `rows` beside what `render` draws of them, alike where the footage is not believed."""
         footage = self.footage.at(scale)
-        target, mask = footage.batch(rows, background, self.device)
+        target, mask = footage.batch(list(rows), background, self.device)
         render, alpha = self.render(rows, scale, attributes, background=background, pose=pose)
-        return footage.believed(rows, Comparison(target, render, mask, alpha))
+        return footage.believed(list(rows), Comparison(target, render, mask, alpha))
 
     @torch.no_grad()
     def errors(

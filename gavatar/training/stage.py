@@ -59,21 +59,24 @@ class Stage:
     def _make_optimizers(self) -> tuple[dict[str, torch.optim.Optimizer], dict[str, list[float]]]:
         """The optimisers, and the rates that the schedule multiplies, by parameter group."""
         plan, avatar = self.plan, self.scene.avatar
-        groups = [{"params": list(avatar.decoder.parameters()), "lr": plan.stage.lr_decoder}]
+        groups: list[dict[str, Any]] = [{"params": list(avatar.decoder.parameters()), "lr": plan.stage.lr_decoder}]
         if plan.learns_features:
             first = [avatar.features, *avatar.smooth.parameters()]
             groups.append({"params": first, "lr": plan.stage.lr_features})
         if plan.dynamic:
             groups.append({"params": list(avatar.encoder.parameters()), "lr": plan.stage.lr_encoder})
-        rates = {"optimizer": [group["lr"] for group in groups], "motion_optimizer": list(plan.pose_rates)}
+        rates: dict[str, list[float]] = {
+            "optimizer": [group["lr"] for group in groups],
+            "motion_optimizer": list(plan.pose_rates),
+        }
         optimizers: dict[str, torch.optim.Optimizer] = {
             "optimizer": torch.optim.Adam(groups, fused=True),  # one pass over each parameter
             "motion_optimizer": self.poses.optimizer,
         }
-        if plan.learns_exposure:
+        if plan.learns_exposure and self.scene.exposure is not None:
             optimizers["exposure_optimizer"] = RowAdam([self.scene.exposure.log_gain], lr=EXPOSURE_RATE)
-        if plan.learns_shape:
-            rate, shape = plan.motion.lr_betas, self.scene.shape
+        rate, shape = plan.motion.lr_betas, self.scene.shape
+        if plan.learns_shape and shape is not None:
             optimizers["shape_optimizer"] = torch.optim.Adam(shape.parameters(), lr=rate, betas=(0.9, 0.99))
             rates["shape_optimizer"] = [rate]
         return optimizers, rates
@@ -125,7 +128,7 @@ class Stage:
             for step in range(start, steps):
                 losses = self.step(step)
                 last = step + 1 == steps
-                told = {}
+                told: dict[str, Any] = {}
                 if step % 10 == 0 or last:
                     told = {"loss" if k == "total" else k: v for k, v in losses.items() if k == "total" or _in_bar(k)}
                     record.log(plan.number, step, {k: float(v) for k, v in losses.items()})
@@ -217,7 +220,8 @@ class Stage:
             if plan.learns_shape:
                 optimizers["shape_optimizer"].step()
         if plan.learns_exposure:
-            optimizers["exposure_optimizer"].step(torch.tensor(rows, device=self.scene.device))
+            exposure: Any = optimizers["exposure_optimizer"]  # a `RowAdam`
+            exposure.step(torch.tensor(rows, device=self.scene.device))
 
     # --- the end ------------------------------------------------------------------------------------------------------
     def _judged(self) -> str:
@@ -227,6 +231,7 @@ class Stage:
         if not self.held_out:
             return STAGE_FILES[plan.number]
         if verdicts.dynamics is None:
+            assert plan.least_gain is not None  # else no view is held out
             dynamic = self.scene.errors(self.held_out, plan.image, dynamic=True)
             verdicts.dynamics = dynamics_verdict(np.array(verdicts.static_errors), dynamic, plan.least_gain)
         if verdicts.dynamics.kept:

@@ -70,7 +70,7 @@ class ZjuCapture(CaptureReader):
         content = faults.of(_annots, annots)
         frames: Any = faults.of(_frames, annots, content, len(content["cams"]["K"])) if content else None
         sizes = faults.of(_sizes, path, frames) if frames else None
-        cameras = faults.of(_cameras, annots, content["cams"], sizes) if content else None
+        cameras: Any = faults.of(_cameras, annots, content["cams"], sizes) if content else None
         chosen: Any = faults.of(self._chosen, path, frames) if frames else None
         placed: Any = faults.of(self._motion, path, frames, chosen) if chosen else None
         if chosen is None:  # it will not be opened, but what is wrong with the parameters is told too
@@ -181,7 +181,7 @@ class ZjuCapture(CaptureReader):
 
 def _annots(path: Path) -> dict:
     content = load_npy(path)
-    fields = ("cams", "ims")
+    fields: tuple[str, ...] = ("cams", "ims")
     missing = [] if isinstance(content, dict) else fields
     missing = missing or [f for f in fields if f not in content or (f == "cams" and not isinstance(content[f], dict))]
     if missing:
@@ -236,7 +236,7 @@ def _sizes(path: Path, frames: list[list[str]]) -> list[tuple[int, int]]:
     sizes = faults.each(image_size, some, f"images of {path} are faulty")
     faults.stop()
     known = dict(zip(some, sizes, strict=True))
-    return [known.get(image, sizes[0]) for image in first]
+    return [sizes[0] if image is None else known.get(image, sizes[0]) for image in first]
 
 
 def _metres(path: Path, cams: dict[str, Any]) -> float:

@@ -55,7 +55,7 @@ class MlpDecoder(nn.Module):
         super().__init__()
         self.config = config
         self.skip = config.skip
-        layers = []
+        layers: list[nn.Linear] = []
         inside = in_channels
         for level, outside in enumerate(config.widths):
             if level == self.skip and level > 0:
@@ -66,27 +66,26 @@ class MlpDecoder(nn.Module):
         outputs = {"offset": 3, "color": 3, "scale": 1}
         if config.anisotropic:
             outputs |= {"scale": 3, "rotation": 4}
-        self.heads = nn.ModuleDict(
-            {
-                name: nn.Sequential(nn.Linear(inside, config.head_width), nn.ReLU(), nn.Linear(config.head_width, out))
-                for name, out in outputs.items()
-            }
-        )
-        for layer in self.layers:
+        lasts: dict[str, nn.Linear] = {}
+        self.heads = nn.ModuleDict()
+        for name, out in outputs.items():
+            hidden, lasts[name] = nn.Linear(inside, config.head_width), nn.Linear(config.head_width, out)
+            self.heads[name] = nn.Sequential(hidden, nn.ReLU(), lasts[name])
+        for layer in layers:
             nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
             nn.init.zeros_(layer.bias)
-        for head in self.heads.values():
-            nn.init.normal_(head[2].weight, std=1e-3)  # start on the body, grey, at the initial scale
-            nn.init.zeros_(head[2].bias)
+        for last in lasts.values():
+            nn.init.normal_(last.weight, std=1e-3)  # start on the body, grey, at the initial scale
+            nn.init.zeros_(last.bias)
         if not 0 <= config.scale_floor < config.scale_init < config.scale_limit:
             raise UserError(
                 "decoder: 0 <= scale_floor < scale_init < scale_limit must hold, not "
                 f"{config.scale_floor}, {config.scale_init}, {config.scale_limit}"
             )
         start = (config.scale_init - config.scale_floor) / (config.scale_limit - config.scale_floor)
-        nn.init.constant_(self.heads["scale"][2].bias, math.log(start / (1 - start)))
+        nn.init.constant_(lasts["scale"].bias, math.log(start / (1 - start)))
         if config.anisotropic:
-            nn.init.constant_(self.heads["rotation"][2].bias[:1], 1.0)  # the identity
+            nn.init.constant_(lasts["rotation"].bias[:1], 1.0)  # the identity
 
     def forward(self, features: Tensor, uv: Tensor, spacing: Tensor) -> Attributes:
         """features: (P, C). uv: (P, 2), unused: the learnable features tell the place. spacing: (P,) metres."""
@@ -110,7 +109,7 @@ class MlpDecoder(nn.Module):
 
     def _head(self, name: str, x: Tensor) -> Tensor:
         """A head's output in float32, also where products are in bfloat16: a colour has more than 256 values."""
-        hidden, activation, last = self.heads[name]
+        hidden, activation, last = self.heads[name].children()
         h = activation(hidden(x))
         if not torch.is_autocast_enabled(x.device.type):
             return last(h)

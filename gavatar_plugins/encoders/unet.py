@@ -55,12 +55,14 @@ class UNetEncoder(nn.Module):
         for level, outside in enumerate(ups):
             inside = widths[-1] if level == 0 else 2 * ups[level - 1]
             last = level == len(ups) - 1
-            block = [nn.ReLU(), nn.ConvTranspose2d(inside, outside, 4, 2, 1, bias=last)]
+            convolution = nn.ConvTranspose2d(inside, outside, 4, 2, 1, bias=last)
+            block = [nn.ReLU(), convolution]
+            if last:
+                for parameter in convolution.parameters():
+                    nn.init.zeros_(parameter)
             if not last:
                 block.append(norm(outside))
             self.up.append(nn.Sequential(*block))
-        nn.init.zeros_(self.up[-1][1].weight)
-        nn.init.zeros_(self.up[-1][1].bias)
 
     def forward(self, positional_map: Tensor) -> Tensor:
         """positional_map: (B, 3, M, M) metres, root-relative -> (B, C, M, M) pose features."""

@@ -47,7 +47,7 @@ class Perceptual:
 
     def __call__(self, inputs: LossInputs) -> Tensor:
         config = self.config
-        pair = cheaper_pair(
+        render, target = cheaper_pair(
             inputs.render, inputs.target, inputs.mask, config.crop, config.max_size, step_seed(inputs.progress)
         )
-        return perceptual_distance(*pair, depth=config.depth).mean()
+        return perceptual_distance(render, target, depth=config.depth).mean()

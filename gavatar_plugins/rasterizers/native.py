@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -91,7 +92,7 @@ class NativeRasterizer(Rasterizer):
 def _checked(gaussians: Gaussians) -> list[Tensor | None]:
     """The five fields, after UserError for what the kernel does not take and ValueError for shapes."""
     n = len(gaussians.means)
-    shapes = {
+    shapes: dict[str, list[tuple[int, ...]]] = {
         "means": [(n, 3)],
         "scales": [(n,), (n, 3)],
         "colors": [(n, 3)],
@@ -135,21 +136,19 @@ def _enlarged(color: Tensor, alpha: Tensor, depth: Tensor, camera: Camera) -> tu
 class _Lease:
     """A frame in the hands of one autograd node; goes back to the rasterizer when the node does."""
 
-    frame: nl.Frame | None = None
+    def __init__(self, owner: NativeRasterizer, frame: nl.Frame):
+        self.owner, self.frame = owner, frame
 
-    def __init__(self, owner: NativeRasterizer):
-        self.owner, self.frame = owner, owner.take_frame()
-
-    def __del__(self):
-        if self.frame is not None:
-            self.owner.give_frame(self.frame)
+    def __del__(self) -> None:
+        self.owner.give_frame(self.frame)
 
 
 def _pointer(tensor: Tensor | None) -> int | None:
     return None if tensor is None else tensor.data_ptr()
 
 
-def _struct(fields: list[Tensor | None], normals: Tensor | None) -> nl.GaussiansStruct:
+def _struct(fields: Sequence[Any], normals: Tensor | None) -> nl.GaussiansStruct:
+    """fields: means, scales, colours, opacities and quaternions; the last two may be None."""
     columns = 3 if fields[1].ndim == 2 else 1
     return nl.GaussiansStruct(len(fields[0]), *map(_pointer, fields), _pointer(normals), columns)
 
@@ -162,7 +161,7 @@ class _Splat(torch.autograd.Function):
         keep: bool,
     ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
         fields = [None if x is None else x.contiguous() for x in (means, scales, colors, opacities, quaternions)]
-        lease = _Lease(owner)
+        lease = _Lease(owner, owner.take_frame())
         struct, camera_struct = _struct(fields, normals), nl.camera_struct(camera)
         options = owner.config.struct(background.tolist(), keep=keep)
         color = torch.empty((camera.height, camera.width, 3))
@@ -180,7 +179,7 @@ class _Splat(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *upstream: Tensor | None) -> tuple[Tensor | None, ...]:
         *fields, color, alpha, depth = ctx.saved_tensors
-        upstream = [None if g is None else g.contiguous() for g in upstream]
+        given = [None if g is None else g.contiguous() for g in upstream]
         wanted = ctx.needs_input_grad[:5]
         grads = [
             torch.empty_like(x) if x is not None and (want or i == 0) else None
@@ -189,7 +188,7 @@ class _Splat(torch.autograd.Function):
         structs = (
             _struct(fields, None), ctx.camera, ctx.options,
             nl.ImagesStruct(*map(_pointer, (color, alpha, depth)), None),
-            nl.ImagesStruct(*map(_pointer, upstream), None), nl.GradientsStruct(*map(_pointer, grads)),
+            nl.ImagesStruct(*map(_pointer, given), None), nl.GradientsStruct(*map(_pointer, grads)),
             nl.BackwardReportStruct(),
         )  # fmt: skip
         nl.check(ctx.owner._lib.gv_backward(ctx.lease.frame.handle, *(ctypes.byref(x) for x in structs)))
@@ -197,6 +196,6 @@ class _Splat(torch.autograd.Function):
         ctx.owner.stage_seconds = {**ctx.owner.stage_seconds, **times}
         grads = [g if want else None for g, want in zip(grads, wanted, strict=True)]
         background = None
-        if ctx.needs_input_grad[5] and upstream[0] is not None:
-            background = torch.einsum("hw,hwc->c", 1 - alpha, upstream[0])
+        if ctx.needs_input_grad[5] and given[0] is not None:
+            background = torch.einsum("hw,hwc->c", 1 - alpha, given[0])
         return (*grads, background, None, None, None, None, None)

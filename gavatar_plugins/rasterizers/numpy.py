@@ -30,7 +30,8 @@ class NumpyTensors(Rasterizer):
         fields = [gaussians.means, gaussians.scales, gaussians.colors, gaussians.opacities, gaussians.quaternions]
         if torch.is_grad_enabled() and any(f is not None and f.requires_grad for f in fields):
             raise UserError("rasterizer=numpy has no gradients: train with rasterizer=auto or rasterizer=torch")
-        arrays = [None if f is None else f.detach().cpu().numpy() for f in fields]
-        dtype = arrays[0].dtype.type
-        out = render(Gaussians(*arrays), camera, torch.as_tensor(background).detach().cpu().numpy(), dtype)
-        return Rendering(*(torch.from_numpy(a) for a in (out.color, out.alpha, out.depth)), out.dropped)
+        arrays = Gaussians(*(None if f is None else f.detach().cpu().numpy() for f in fields))
+        dtype = arrays.means.dtype.type
+        out = render(arrays, camera, torch.as_tensor(background).detach().cpu().numpy(), dtype)
+        color, alpha, depth = (torch.from_numpy(a) for a in (out.color, out.alpha, out.depth))
+        return Rendering(color, alpha, depth, out.dropped)

@@ -177,7 +177,8 @@ class _Blend(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None, None]:
         table, sums = ctx.saved_tensors
-        blender = _Blender(table, *ctx.tiles, ctx.camera, ctx.config)
+        columns, rows = ctx.tiles
+        blender = _Blender(table, columns, rows, ctx.camera, ctx.config)
         return _replay(blender, ctx.chunks, sums, blender.tiled(grad)), None, None, None
 
 
@@ -255,7 +256,7 @@ class _Blender:
         coefficients = torch.stack([-0.5 * xx, -xy, -0.5 * yy, along_x, along_y, constant])
         exponent = (self.monomials @ coefficients.view(6, -1)).view(-1, *dx.shape)
         # exp is several times slower where it underflows; -10 is below log(ALPHA_MIN) already
-        return torch.nn.functional.threshold_(exponent.clamp_(min=-10).exp_(), self.below_least, 0.0)
+        return torch.threshold_(exponent.clamp_(min=-10).exp_(), self.below_least, 0.0)
 
     def weights(self, alpha: Tensor, before: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """From alpha (P, t, K) and the transmittance `before` (P, t) the transmittance in front of each splat, 1 or 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class CoarseBuilder(TierBuilder):
         coarse = source.surface_at(self.options.uv)
         index, weight = upsampling(coarse, source.surface)
         ratio = np.median(source.surface.spacing) / np.median(coarse.spacing)
-        arrays = {
+        arrays: dict[str, Any] = {
             "index": index.astype(np.uint16 if len(coarse) <= 1 << 16 else np.int32),
             "weight": weight.astype(np.float16),
             "base": source.mean(coarse),

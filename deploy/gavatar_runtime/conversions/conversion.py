@@ -7,7 +7,7 @@ import dataclasses
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 from ..avatar.playing import Avatar
 from ..bundle import Bundle
@@ -123,4 +123,4 @@ def _suffixes(component: Component[Conversion]) -> tuple[str, ...]:
     factory = component.factory
     if not (isinstance(factory, type) and issubclass(factory, Conversion)):
         raise TypeError(f"conversion '{component.name}' of {component.origin} is no class derived from Conversion")
-    return cast("type[Conversion]", factory).suffixes
+    return factory.suffixes

@@ -139,7 +139,7 @@ def session_options(threads: int | None = None) -> Any:
     return options
 
 
-def _session(bundle: Bundle, member: str, threads: int):
+def _session(bundle: Bundle, member: str, threads: int) -> Any:
     """An ONNX Runtime session of a member, `threads` within one operator."""
     import onnxruntime
 

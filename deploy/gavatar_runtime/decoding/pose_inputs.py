@@ -68,7 +68,7 @@ def input_shapes(*names: str) -> dict[str, Shape]:
 
 def input_shape(name: str, size: int) -> tuple[int, ...]:
     """The shape of one pose's input, its map `size` texels wide and high."""
-    return tuple(size if side == SIDE else side for side in INPUTS[name].shape)
+    return tuple(size if isinstance(side, str) else side for side in INPUTS[name].shape)
 
 
 def pose_inputs(surface: Surface, poses: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, ...]:

@@ -42,7 +42,7 @@ class BvhOptions:
 class BvhFile(MotionSource):
     """A file of one person, 52 SMPL-H joints when read. facts: which rest pose was taken and why, once it is read."""
 
-    suffixes: tuple[str, ...] = (".bvh",)
+    suffixes = (".bvh",)
 
     def __init__(self, config: BvhOptions, *, path: Path):
         for name, known in (("up", AXES), ("rest", RESTS), ("units", UNITS), ("angles", ANGLES)):

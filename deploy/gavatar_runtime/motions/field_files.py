@@ -92,27 +92,27 @@ def _scaling(path: Path, fields: dict[str, Any]) -> float:
 
 @MOTIONS.register("amass", config=FieldOptions, summary="AMASS, SMPL/SMPL-H/SMPL-X and pose estimators' .npz")
 class NpzFile(FieldFile):
-    suffixes: tuple[str, ...] = (".npz",)
+    suffixes = (".npz",)
 
 
 @MOTIONS.register("npy", config=FieldOptions, summary=".npy: Motion-X, TRAM, or poses alone")
 class NpyFile(FieldFile):
-    suffixes: tuple[str, ...] = (".npy",)
+    suffixes = (".npy",)
 
 
 @MOTIONS.register("aist", config=FieldOptions, summary=".pkl and .joblib: AIST++, WHAM, 4D-Humans, 3DPW and others")
 class PickleFile(FieldFile):
-    suffixes: tuple[str, ...] = (".pkl", ".pickle", ".joblib")
+    suffixes = (".pkl", ".pickle", ".joblib")
 
 
 @MOTIONS.register("torch", config=FieldOptions, summary=".pth and .pt of tensors: GVHMR, GaussianAvatar, SMPL fields")
 class TorchFile(FieldFile):
-    suffixes: tuple[str, ...] = (".pth", ".pt")
+    suffixes = (".pth", ".pt")
 
 
 @MOTIONS.register("json", config=FieldOptions, summary=".json: EasyMocap, or SMPL fields")
 class JsonFile(FieldFile):
-    suffixes: tuple[str, ...] = (".json",)
+    suffixes = (".json",)
 
 
 @MOTIONS.register("frames", config=FieldOptions, summary="a folder of one file a frame: EasyMocap, SMPLify-X")

@@ -59,8 +59,8 @@ def told_kind(key: str, array: np.ndarray) -> str:
 
     UserError for 6D, which may be columns or rows, unless the key says that it is 6D.
     """
-    numbers, named = array.reshape(len(array), -1), "6d" in key.lower()
-    if named:
+    numbers = array.reshape(len(array), -1)
+    if "6d" in key.lower():
         return "6d"
     if array.dtype.kind not in "fiu" or not np.isfinite(numbers).all():
         return "axis-angle"

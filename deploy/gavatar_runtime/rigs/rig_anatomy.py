@@ -112,7 +112,7 @@ def _limb(
     turned = axes[upper]
     if turned is not None and _between(turned, guessed, rig.own(upper, above)) > _REVERSED:
         axes = {joint: None if axis is None else -axis for joint, axis in axes.items()}
-    if axes[upper] is not None and carried:
+    if turned is not None and carried:
         axes = _carried(rig, axes, bones, guessed, carried)
     axes[lower] = told if axes[lower] is None else axes[lower]
     first, second = (lower, upper) if axes[upper] is None and axes[lower] is not None else (upper, lower)
@@ -155,11 +155,11 @@ def _carried(
     the body bends; those whose elbow bends about one of the joint's own axes are left alone.
     """
     upper = next(iter(axes))
-    bone = unit(rig.own(upper, bones[upper]))
-    if _axis_near(bone, axes[upper]) is not None:
+    bone, hinge = unit(rig.own(upper, bones[upper])), axes[upper]
+    if hinge is None or _axis_near(bone, hinge) is not None:
         return axes
-    turn = _CARRIED * np.radians(_between(axes[upper], guessed, bone))
-    turn = min(turn, np.radians(most)) * (np.sign(np.cross(axes[upper], guessed) @ bone) or 1)
+    turn = _CARRIED * np.radians(_between(hinge, guessed, bone))
+    turn = min(turn, np.radians(most)) * (np.sign(np.cross(hinge, guessed) @ bone) or 1)
     out = {}
     for joint, axis in axes.items():
         along = unit(rig.own(joint, bones[joint]))

@@ -149,7 +149,9 @@ def match_rig(names: list[str], parents: Sequence[int] | np.ndarray | None) -> d
     return found | {"pelvis": pelvis_of(found, parents)}
 
 
-def _neck_and_head(found: dict[str, int], split: list[tuple[str, str]], parents: Sequence[int]) -> dict[str, int]:
+def _neck_and_head(
+    found: dict[str, int], split: list[tuple[str, str]], parents: Sequence[int] | np.ndarray
+) -> dict[str, int]:
     """Neck and head that have no such name (`spine.006`): the first and the last of the longest row of joints in the
     middle that leaves the spine above the hips, if it leaves it at the shoulders' last common joint."""
     if ("neck" in found and "head" in found) or not {"left_shoulder", "right_shoulder"} <= set(found):
@@ -170,7 +172,7 @@ def _neck_and_head(found: dict[str, int], split: list[tuple[str, str]], parents:
     return {"head": row[-1]} | ({"neck": row[0]} if len(row) > 1 else {})
 
 
-def _line(joint: int, parents: Sequence[int]) -> list[int]:
+def _line(joint: int, parents: Sequence[int] | np.ndarray) -> list[int]:
     """The joint and those above it, to the root."""
     line = []
     while joint >= 0:

@@ -44,8 +44,8 @@ class Coarse:
         features = self._encoder(pose)
         encoded = perf_counter()
         if self._decoded is None:
-            decoded = self._decoder(features, rows=self._rows)
-            self._decoded = list(self._parts.check(tuple(decoded), DECODER_COARSE, len(self._base)))
+            offsets, colors, scales = self._decoder(features, rows=self._rows)
+            self._decoded = list(self._parts.check((offsets, colors, scales), DECODER_COARSE, len(self._base)))
         else:
             self._decoder(features, rows=self._rows, out=self._decoded)
         self._table[:, :3], self._table[:, 3:6], self._table[:, 6] = self._decoded

@@ -26,6 +26,8 @@ class Encoder:
         self._network.check_shape(POSE_FEATURES, (1, None, None, None))
         surface, self._source = parts.map_surface, f"{parts.bundle.path}: {member}"
         check_inputs(self._network.inputs, self._source)
+        if surface is None:
+            raise UserError(f"{self._source} wants a map of the body, and {SURFACE} has none; {ADVICE}")
         for name in self._network.inputs:
             self._network.check_shape(name, (1, *input_shape(name, surface.resolution)))
         if "normal_map" in self._network.inputs and not np.isfinite(surface.normals).all():

@@ -65,7 +65,7 @@ class BodyData:
     exprdirs: np.ndarray | None = None
     hands: Hands | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "lbs_weights", whole_weights(self.lbs_weights, f"body '{self.name}'"))
 
     @property

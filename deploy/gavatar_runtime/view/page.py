@@ -13,6 +13,6 @@ VIEWER = ("pose.js", "motion.js", *CONTROLS, "remote.js")
 @functools.cache
 def viewer_page() -> bytes:
     """The whole page."""
-    suffixes = sorted({suffix for component in MOTIONS for suffix in component.factory.suffixes})
+    suffixes = sorted({suffix for component in MOTIONS for suffix in component.kind.suffixes})
     body = f"<script>\n(() => {{\n{script(VIEWER)}\nopenViewer();\n}})();\n</script>\n"
     return page(body, ",".join(suffixes)).encode()

@@ -178,7 +178,7 @@ class ViewedAvatar:
 
 
 def _built_in() -> list[str]:
-    return [component.name for component in MOTIONS if not component.factory.suffixes]
+    return [component.name for component in MOTIONS if not component.kind.suffixes]
 
 
 def _at(motion: Motion, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:

@@ -6,7 +6,7 @@ import base64
 import contextlib
 import hashlib
 import struct
-from typing import BinaryIO
+from io import BufferedIOBase
 
 GUID = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
 CONTINUATION, TEXT, BINARY, CLOSE, PING, PONG = 0x0, 0x1, 0x2, 0x8, 0x9, 0xA
@@ -35,7 +35,7 @@ class WebSocket:
     reader, writer: unbuffered or buffered, of bytes. most: bytes that a message may have; text_most: one of text.
     """
 
-    def __init__(self, reader: BinaryIO, writer: BinaryIO, most: int, text_most: int):
+    def __init__(self, reader: BufferedIOBase, writer: BufferedIOBase, most: int, text_most: int):
         self._reader, self._writer = reader, writer
         self.most, self.text_most = most, text_most
         self._ended = False

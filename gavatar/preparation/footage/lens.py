@@ -48,8 +48,8 @@ def read_lenses(path: Path) -> dict[str, Lens]:
     for name, entry in items:
         try:
             T = np.asarray(entry["world_to_camera"], np.float64)
-            numbers = [float(entry[key]) for key in ("fx", "fy", "cx", "cy")]
-            camera = Camera(int(entry["width"]), int(entry["height"]), *numbers, T)
+            fx, fy, cx, cy = (float(entry[key]) for key in ("fx", "fy", "cx", "cy"))
+            camera = Camera(int(entry["width"]), int(entry["height"]), fx, fy, cx, cy, T)
             distortion = np.asarray(entry.get("distortion_k1_k2_p1_p2", [0, 0, 0, 0]), np.float64)
         except KeyError as error:
             raise UserError(f"{path}: camera '{name}' has no field {error}") from None

@@ -100,7 +100,8 @@ def survey_masks(folder: Path, files: list[Path]) -> tuple[MaskReader, list[str]
 def _of_values(folder: Path, looks: list[Look], bits: int) -> tuple[MaskReader, list[str]]:
     """How masks without alpha are read."""
     top = max(look.top for look in looks)
-    levels = None if any(look.levels is None for look in looks) else sorted({v for look in looks for v in look.levels})
+    told = [look.levels for look in looks if look.levels is not None]
+    levels = sorted({v for values in told for v in values}) if len(told) == len(looks) else None
     seen = [v for v in levels or [] if v and not (v == VOID and any(look.kind == "labels" for look in looks))]
     if any(look.kind == "labels" for look in looks):
         return MaskReader(False, True, 255), _labels_note(folder, seen, "colours")

@@ -82,7 +82,7 @@ class Wardrobe:
     def changes(self) -> list[int]:
         """The frames with which somebody else begins: their colours are others for `AROUND` frames on either side."""
         known = [t for t, colours in enumerate(self.colours) if colours is not None]
-        seen = [self.colours[t] for t in known]
+        seen = [colours for colours in self.colours if colours is not None]
         scores = np.zeros(len(known))
         for k in range(AROUND, len(known) - AROUND + 1):
             before, after = (np.mean(seen[a : a + AROUND], axis=0) for a in (k - AROUND, k))
@@ -90,9 +90,9 @@ class Wardrobe:
         peaks = [k for k in np.flatnonzero(scores > OTHER)
                  if scores[k] == scores[max(0, k - AROUND) : k + AROUND + 1].max()]  # fmt: skip
         kept: list[int] = []
-        for k in peaks:  # of neighbours that are equal, the first
-            if not kept or k - kept[-1] > AROUND:
-                kept.append(int(k))
+        for peak in peaks:  # of neighbours that are equal, the first
+            if not kept or peak - kept[-1] > AROUND:
+                kept.append(int(peak))
         return [known[k] for k in kept]
 
 

@@ -33,14 +33,13 @@ def even_clock(stamps: np.ndarray | None, said: float | None, count: int) -> Tim
     every moment of an even clock takes the frame nearest in time.
     """
     every = np.arange(count)
-    usable = (
-        stamps is not None and len(stamps) == count > 2 and np.isfinite(stamps).all() and (np.diff(stamps) > 0).all()
-    )
-    mean = float(stamps[-1] - stamps[0]) / (count - 1) if usable else None
+    mean = None
+    if stamps is not None and len(stamps) == count > 2 and np.isfinite(stamps).all() and (np.diff(stamps) > 0).all():
+        mean = float(stamps[-1] - stamps[0]) / (count - 1)
     rate = 1 / mean if mean else said
     if rate is not None and rate > FASTEST:
         return Timing(every, None, f"the file says {rate:.4g} frames a second, which no camera films")
-    if mean is None:
+    if stamps is None or mean is None:
         return Timing(every, said)
     steps = np.diff(stamps)
     if np.abs(stamps - stamps[0] - mean * every).max() <= OFF * mean:

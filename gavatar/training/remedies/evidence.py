@@ -26,4 +26,5 @@ def blending_weights(scene: Scene, scale: float) -> Tensor:
     """(N,) pixels of the person that each point of the avatar makes up, over all views."""
     with torch.no_grad():
         attributes = scene.avatar.attributes()
-    return sum(view_weights(scene, row, scale, attributes) for row in range(len(scene.views)))
+    weights = (view_weights(scene, row, scale, attributes) for row in range(len(scene.views)))
+    return sum(weights, torch.zeros(()))

@@ -98,4 +98,4 @@ def _fit(avatar: Avatar, unseen: Tensor, free: Tensor, target: Tensor) -> None:
         change.grad = gradient
         optimizer.step()
     with torch.no_grad():
-        avatar.features += change.detach() * free
+        avatar.features.add_(change.detach() * free)

@@ -29,7 +29,7 @@ def with_frames(fields: dict[str, Any]) -> dict[str, Any]:
     """The fields with an axis of frames, where poses have none; as they are where they have one."""
     key = next((key for key in (*WHOLE_KEYS, *BODY_KEYS) if key in fields), None)
     array = None if key is None else as_array(fields[key])
-    if array is None or array.dtype.kind not in "fiu":
+    if key is None or array is None or array.dtype.kind not in "fiu":
         return fields
     if not lacks_frames(array, _BODY if key in BODY_KEYS else _WHOLE):
         return fields
