@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from gavatar_runtime.conversions import convert
+from gavatar_runtime.bundle import Manifest
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.spacing import evenly_spaced
 from gavatar_runtime.tiers import player_tiers
@@ -129,7 +130,9 @@ def _play(bundle: Path, motion: str, out: Path) -> dict:
     return json.loads(report.read_text(encoding="utf-8"))
 
 
-def _summary(evaluations: dict[str, Evaluation], manifest, plays: dict[str, dict], seconds: float) -> dict:
+def _summary(
+    evaluations: dict[str, Evaluation], manifest: Manifest, plays: dict[str, dict], seconds: float
+) -> dict[str, Any]:
     dynamic = evaluations["+opt+dyn"]
     before, after = dynamic.estimated_mpjpe_mm, dynamic.row("train", "refined").mpjpe_mm
     assert before is not None  # the shipped capture holds the true poses

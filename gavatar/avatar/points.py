@@ -8,7 +8,9 @@ import inspect
 import numbers
 import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +37,12 @@ _PAIRS_AT_ONCE = 1 << 20  # (face, texel) pairs tried in one batch; some 100 MB 
 
 
 def sample_surface(
-    body: BodyData, betas: np.ndarray | None, resolution: int, *, order: str = "morton", cache_dir=None
+    body: BodyData,
+    betas: np.ndarray | None,
+    resolution: int,
+    *,
+    order: str = "morton",
+    cache_dir: str | os.PathLike[str] | None = None,
 ) -> Surface:
     """The points of a shaped body in its canonical pose, one for each valid texel (paper, section 3.1).
 
@@ -67,7 +74,7 @@ def sample_surface(
     return surface
 
 
-def check_resolution(value, field: str) -> None:
+def check_resolution(value: Any, field: str) -> None:
     """UserError naming `field` unless `value` is a side of the atlas that surfaces are sampled at."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     if not whole or not MIN_RESOLUTION <= value <= MAX_RESOLUTION:
@@ -186,7 +193,9 @@ def _cover(triangles: np.ndarray, usable: np.ndarray, resolution: int) -> tuple[
     return valid, owner[valid], weights[valid]
 
 
-def _pairs(triangles: np.ndarray, faces: np.ndarray, resolution: int, margin: float, wanted: np.ndarray | None = None):
+def _pairs(
+    triangles: np.ndarray, faces: np.ndarray, resolution: int, margin: float, wanted: np.ndarray | None = None
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield (face (P,), texel (P,), centre (P, 2)) for every texel whose centre lies in a face's bounding box widened
     by `margin` texels, faces in ascending order, in batches. wanted: (R * R,) bool, the texels of interest."""
     low = np.ceil(triangles[faces].min(1) - margin - 0.5).clip(0, resolution).astype(int)

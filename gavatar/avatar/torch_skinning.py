@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -9,6 +11,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 
 from gavatar_runtime import native_library as nl
+from gavatar_runtime.values.surface import Surface
 
 from ..body.torch_rotations import quaternion_from_matrix, quaternion_product
 
@@ -62,7 +65,7 @@ def can_skin_sparse(points: Tensor) -> bool:
 
 class _SparseSkin(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, points, joint_index, joint_weight, transforms):
+    def forward(ctx: Any, points: Tensor, joint_index: Tensor, joint_weight: Tensor, transforms: Tensor) -> Tensor:
         points, transforms = points.contiguous(), transforms.contiguous()
         (count, slots), (poses, joints) = joint_index.shape, transforms.shape[:2]
         out = points.new_empty(poses, count, 3)
@@ -74,7 +77,7 @@ class _SparseSkin(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, grad):
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         points, joint_index, joint_weight, transforms = ctx.saved_tensors
         grad = grad.contiguous()
         (count, slots), (poses, joints) = joint_index.shape, transforms.shape[:2]
@@ -96,6 +99,6 @@ def _check(code: int) -> None:
     nl.check(code)
 
 
-def skinning_weights(surface, num_joints: int, dtype: torch.dtype = torch.float32) -> Tensor:
+def skinning_weights(surface: Surface, num_joints: int, dtype: torch.dtype = torch.float32) -> Tensor:
     """(N, J) dense weights of a sampled surface."""
     return torch.as_tensor(dense_weights(surface.joint_index, surface.joint_weight, num_joints), dtype=dtype)

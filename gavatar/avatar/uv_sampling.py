@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -80,13 +82,13 @@ def _product(matrix: tuple[Tensor, Tensor, Tensor], table: Tensor) -> Tensor:
 
 class _Sample(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, maps: Tensor, plan: _Plan) -> Tensor:
+    def forward(ctx: Any, maps: Tensor, plan: _Plan) -> Tensor:
         ctx.plan, ctx.shape = plan, maps.shape
         # free of copies for maps in memory_format channels_last
         return _product(plan.forward, maps.permute(0, 2, 3, 1).flatten(1, 2).contiguous())
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, grad: Tensor):
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
         B, C, H, W = ctx.shape
         return _product(ctx.plan.backward, grad.contiguous()).view(B, H, W, C).permute(0, 3, 1, 2), None

@@ -91,7 +91,9 @@ def read_obj(path: Path) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
     return vertices, np.asarray(vt, np.float64).reshape(-1, 2), table[..., 0], table[..., 1]
 
 
-def _checked(path: Path, faces: np.ndarray, f: np.ndarray, vt: np.ndarray, ft: np.ndarray):
+def _checked(
+    path: Path, faces: np.ndarray, f: np.ndarray, vt: np.ndarray, ft: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The atlas, its faces being the model's in whatever order."""
     if vt.ndim != 2 or vt.shape[1] < 2 or not np.isfinite(vt).all():
         raise UserError(f"{path}: its UV coordinates must be finite numbers (U, 2)")

@@ -64,7 +64,13 @@ def pose_field(path: Path, name: str, content: dict, shape: tuple[int, ...]) -> 
 
 
 def camera(
-    path: Path, K: Any, T: Any, size: tuple[int, int], *, shift: float, names=("intrinsic", "extrinsic")
+    path: Path,
+    K: Any,
+    T: Any,
+    size: tuple[int, int],
+    *,
+    shift: float,
+    names: tuple[str, str] = ("intrinsic", "extrinsic"),
 ) -> Camera:
     """A camera from a 3x3 intrinsic and a 3x4 or 4x4 world-to-camera matrix.
 

@@ -198,7 +198,7 @@ def _scan_model(rows: onnx.ModelProto, scanned: dict, constants: dict, shape: tu
         initializers.append(numpy_helper.from_array(np.ascontiguousarray(value), name))
         return name
 
-    def node(kind: str, inputs: list[str], output: str, **attributes) -> str:
+    def node(kind: str, inputs: list[str], output: str, **attributes: Any) -> str:
         nodes.append(helper.make_node(kind, inputs, [output], **attributes))
         return output
 

@@ -23,7 +23,7 @@ def quantized(
     from onnxruntime.quantization.shape_inference import quant_pre_process
 
     class Reader(CalibrationDataReader):
-        def __init__(self):
+        def __init__(self) -> None:
             self.rows = iter(samples)
 
         def get_next(self) -> dict[str, np.ndarray] | None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Iterable
+from typing import Any
 
 import cv2
 import torch
@@ -73,7 +75,7 @@ class _StreamedSsim(torch.autograd.Function):
     """`ssim_by_filters` by the compiled kernel, which finds value and gradient in one pass over the images."""
 
     @staticmethod
-    def forward(ctx, image: Tensor, reference: Tensor) -> Tensor:
+    def forward(ctx: Any, image: Tensor, reference: Tensor) -> Tensor:
         image, reference = image.contiguous(), reference.contiguous()
         B, C, H, W = image.shape
         column, line = (_gaussian(min(SSIM_WINDOW, n - (n + 1) % 2), image.dtype, image.device) for n in (H, W))
@@ -87,7 +89,7 @@ class _StreamedSsim(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, upstream: Tensor):
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
         (gradient,) = ctx.saved_tensors
         return gradient * (upstream / gradient.shape[1]).view(-1, 1, 1, 1), None
 
@@ -110,12 +112,12 @@ class _GaussianFilter(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx, x: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor) -> Tensor:
         ctx.sizes = tuple(min(SSIM_WINDOW, n - (n + 1) % 2) for n in x.shape[-2:])
         return _filter(x, *ctx.sizes)
 
     @staticmethod
-    def backward(ctx, gradient: Tensor) -> Tensor:
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
         h, w = ctx.sizes
         return _filter(F.pad(gradient, (w - 1, w - 1, h - 1, h - 1)), h, w)
 
@@ -149,7 +151,7 @@ def filter_convolved(x: Tensor, h: int, w: int) -> Tensor:
     return y.reshape(*x.shape[:2], *y.shape[2:])
 
 
-def mean_psnr(values, cap: float = 100.0) -> float:
+def mean_psnr(values: Iterable[float], cap: float = 100.0) -> float:
     """The mean of PSNR values in dB, each clipped at `cap` so that one identical frame does not make it infinite."""
     values = [min(float(v), cap) for v in values]
     return sum(values) / len(values) if values else math.nan

@@ -156,7 +156,9 @@ def _unit(features: Tensor) -> Tensor:
     return features * torch.rsqrt(features.square().sum(1, keepdim=True) + NORM_EPS)
 
 
-def cheaper_pair(image: Tensor, reference: Tensor, mask: Tensor, crop: int, max_size: int, seed: int):
+def cheaper_pair(
+    image: Tensor, reference: Tensor, mask: Tensor, crop: int, max_size: int, seed: int
+) -> tuple[Tensor, Tensor]:
     """Smaller versions of (B, 3, H, W) images for a network that is costly to train through.
 
     crop: side in pixels of one square window an image, placed at random in the bounding box of its `mask` (B, H, W);

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 from gavatar_runtime.values.camera import Camera
-from gavatar_runtime.values.gaussians import Gaussians
+from gavatar_runtime.values.gaussians import Gaussians, Rendering
 
 
-def pixel_weights(rasterize, gaussians: Gaussians, camera: Camera, mask: Tensor | None = None) -> Tensor:
+def pixel_weights(
+    rasterize: Callable[..., Rendering], gaussians: Gaussians, camera: Camera, mask: Tensor | None = None
+) -> Tensor:
     """(N,) pixels of the picture, inside `mask` (H, W) if given, that each Gaussian makes up.
 
     A pixel is the sum of the Gaussians' colours times their blending weights, so the gradient of `sum(pixel * mask)`

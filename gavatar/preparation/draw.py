@@ -11,7 +11,9 @@ from gavatar_runtime.values.camera import Camera
 _SUBPIXEL = 4  # bits of cv2's fixed-point coordinates
 
 
-def project_body(data: BodyData, camera: Camera, poses: np.ndarray, betas, trans) -> tuple[np.ndarray, np.ndarray]:
+def project_body(
+    data: BodyData, camera: Camera, poses: np.ndarray, betas: np.ndarray | None, trans: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
     """(V, 3) projected vertices (x, y pixels, depth) and (V, 3) world vertices of one pose (J, 3)."""
     vertices, _ = data.posed(poses, betas, trans)
     return camera.project(vertices), vertices
@@ -29,7 +31,9 @@ def _polygons(projected: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.
     return number, np.round(fixed).astype(np.int32)
 
 
-def body_mask(data: BodyData, camera: Camera, poses: np.ndarray, betas, trans) -> np.ndarray:
+def body_mask(
+    data: BodyData, camera: Camera, poses: np.ndarray, betas: np.ndarray | None, trans: np.ndarray | None
+) -> np.ndarray:
     """(H, W) uint8, 255 where the body is."""
     projected, _ = project_body(data, camera, poses, betas, trans)
     mask = np.zeros((camera.height, camera.width), np.uint8)
@@ -38,7 +42,10 @@ def body_mask(data: BodyData, camera: Camera, poses: np.ndarray, betas, trans) -
     return mask
 
 
-def overlay(image: np.ndarray, data: BodyData, camera: Camera, poses, betas, trans, opacity: float = 0.6) -> np.ndarray:
+def overlay(
+    image: np.ndarray, data: BodyData, camera: Camera, poses: np.ndarray, betas: np.ndarray | None,
+    trans: np.ndarray | None, opacity: float = 0.6,
+) -> np.ndarray:  # fmt: skip
     """The body, shaded, over a copy of `image` (H, W, 3) uint8 BGR. The left half of the body is blue, the right half
     orange, so that an exchange of sides or a flip shows at a glance."""
     projected, vertices = project_body(data, camera, poses, betas, trans)

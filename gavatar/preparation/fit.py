@@ -7,6 +7,8 @@ any image size, and accelerations are physical, so that they mean the same at an
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -301,9 +303,9 @@ def _mean(values: Tensor, weight: Tensor) -> Tensor:
     return (values * weight).sum() / weight.sum().clamp_min(1e-6)
 
 
-def _warm_cosine(steps: int):
+def _warm_cosine(steps: int) -> Callable[[int], float]:
     return lambda step: min(1.0, (step + 1) / 10) * (0.02 + 0.98 * 0.5 * (1 + np.cos(np.pi * min(step / steps, 1))))
 
 
-def _tensor(array) -> Tensor:
+def _tensor(array: Any) -> Tensor:
     return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32)

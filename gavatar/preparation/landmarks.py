@@ -84,7 +84,7 @@ class Landmarks:
     def __len__(self) -> int:
         return len(self.image)
 
-    def __getitem__(self, frames) -> Landmarks:
+    def __getitem__(self, frames: slice | np.ndarray) -> Landmarks:
         return dataclasses.replace(
             self, image=self.image[frames], visibility=self.visibility[frames], world=self.world[frames]
         )

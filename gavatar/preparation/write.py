@@ -9,6 +9,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -141,7 +142,9 @@ def _write_view(folder: Path, camera: str, t: int, image: np.ndarray, mask: np.n
         raise UserError(f"{path} could not be written: is the disk full?")
 
 
-def _draw(data, camera: Camera, motion: Motion, t: int, image, mask, preview: bool) -> tuple[float, np.ndarray | None]:
+def _draw(
+    data: BodyData, camera: Camera, motion: Motion, t: int, image: np.ndarray, mask: np.ndarray, preview: bool
+) -> tuple[float, np.ndarray | None]:
     scale = min(1.0, PREVIEW_SIDE / max(camera.width, camera.height))
     small = camera.scaled(scale)
     size = (small.width, small.height)
@@ -186,7 +189,7 @@ class _Preview:
         if self.video is not None:
             self.video.write(np.ascontiguousarray(even))
 
-    def __exit__(self, kind, *_) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
         if self.video is not None:
             self.video.release()
         if kind is None and self.sheet:

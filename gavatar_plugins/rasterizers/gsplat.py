@@ -34,7 +34,7 @@ class GsplatRasterizerConfig:
 
     tile_size: int = 16
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.tile_size not in TILE_SIZES:
             raise UserError(f"rasterizer.tile_size must be one of {TILE_SIZES} for gsplat, got {self.tile_size}")
 

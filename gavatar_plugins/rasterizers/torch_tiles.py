@@ -52,7 +52,7 @@ class TorchRasterizerConfig:
     slab: int = 1 << 18
     batch: int = 1 << 20
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             if getattr(self, field.name) < 1:
                 raise UserError(f"rasterizer.{field.name} must be at least 1, got {getattr(self, field.name)}")

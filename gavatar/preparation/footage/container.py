@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import BinaryIO
 
 TRANSFERS = {16: "PQ", 18: "HLG"}  # ITU-T H.273, transfer characteristics
 CODECS = {
@@ -37,7 +38,7 @@ def _description(path: Path) -> tuple[bool, bytes]:
         return False, _index(file, path.stat().st_size) if known else b""
 
 
-def _index(file, size: int) -> bytes:
+def _index(file: BinaryIO, size: int) -> bytes:
     """The box `moov` of an mp4 or mov, which may lie before or after the pictures."""
     at = 0
     while at + 16 <= size:

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
 import cv2
 import numpy as np
@@ -99,7 +100,7 @@ def program_frames(path: Path, numbers: np.ndarray) -> Iterator[np.ndarray]:
         running.wait()
 
 
-def _ppm(stream) -> np.ndarray | None:
+def _ppm(stream: IO[bytes]) -> np.ndarray | None:
     """The next picture, None at the end."""
     header = stream.readline(), stream.readline(), stream.readline()
     if header[0].strip() != b"P6" or header[2].strip() != b"255":
