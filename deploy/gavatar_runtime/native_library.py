@@ -11,14 +11,11 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from . import splatting_rule as rules
 from .cpus import usable_cpus
 from .errors import UserError
-
-if TYPE_CHECKING:
-    from .values.camera import Camera
 
 ABI_VERSION = 4
 MOST_THREADS = 256  # as in pool.cpp
@@ -237,7 +234,7 @@ class Frame:
             self.handle = None
 
 
-def camera_struct(camera: Camera) -> CameraStruct:
+def camera_struct(camera: Any) -> CameraStruct:
     """A `gavatar_runtime.values.camera.Camera` for the kernel. Raises UserError for what is not a camera's numbers."""
     T = camera.T_camera_world
     numbers = (camera.fx, camera.fy, camera.cx, camera.cy, *T[:3].ravel().tolist())

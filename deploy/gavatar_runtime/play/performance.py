@@ -231,7 +231,8 @@ def _default_path(source: Bundle | PlayedAvatar, motion: Motion, output: str | N
 def _slower_rasterizer() -> str:
     """A note where `auto` is not the rasterizer that is preferred, '' where it is."""
     traits = {component.name: component.default_traits for component in player_rasterizers()}
-    preferred = player_rasterizers()[max(traits, key=lambda name: getattr(traits[name], "preference", 0))]
+    preference = {name: 0 if known is None else known.preference for name, known in traits.items()}
+    preferred = player_rasterizers()[max(preference, key=preference.__getitem__)]
     why, drawn_by = preferred.missing(), best_rasterizer()
     return f"rasterizer {drawn_by}, for {preferred.name} ({preferred.summary}) is missing: {why}" if why else ""
 
