@@ -76,7 +76,7 @@ def read_look(avatar: Avatar, tier: str | None = None) -> Look:
     """
     stored, known = stored_tiers(avatar.bundle), player_tiers()
     linear = [name for name in stored if name in known.having(linear=True)]
-    played = sorted(linear, key=lambda name: not known[name].factory.moves) or ([] if avatar.dynamic else stored[:1])
+    played = sorted(linear, key=lambda name: not known[name].kind.moves) or ([] if avatar.dynamic else stored[:1])
     if tier is not None and tier not in played:
         choices = " or ".join(played) or "no tier"
         raise WrongValue(f"`tier={tier}`: without its networks {choices} of this bundle can be played")
