@@ -15,8 +15,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from gavatar_runtime.conversions import convert
 from gavatar_runtime.bundle import Manifest
+from gavatar_runtime.conversions import convert
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.spacing import evenly_spaced
 from gavatar_runtime.tiers import player_tiers
