@@ -125,11 +125,15 @@ class Avatar(playing.Avatar):
         return self.renderer.rasterize_uint8(gaussians, shot, view.color).copy()
 
     def play(
-        self, motion: str | Path | Motion | None = None, out: str | os.PathLike | None = None, **how: Any
+        self,
+        motion: str | Path | Motion | Sequence[str | Path | Motion] | None = None,
+        out: str | os.PathLike | None = None,
+        **how: Any,
     ) -> PlayReport:
         """Play a motion into a file, as `gavatar-play` does: `avatar.play("wave", "wave.mp4", fps=30)`.
 
-        motion: a built-in one by its name, None for a turn, a file, or a `Motion`. out: a video, a sheet of images, a
+        motion: a built-in one by its name, None for a turn, a file, or a `Motion`; or several, one after another:
+        `avatar.play(["walk", "wave"], blend=0.4)`. out: a video, a sheet of images, a
         folder of frames, Gaussians in `frames/%06d.ply`, ... by its name; None is a video beside the bundle. how: see
         `play.performance.perform`. Returns what was played, and what each stage of it took.
         """

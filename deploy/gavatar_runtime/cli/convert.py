@@ -42,9 +42,10 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
     from ..conversions import convert, default_motions
+    from ..motions import motions_named
 
     flags = as_flags(vars(arguments))
-    motions = default_motions() if arguments.motions is None else [m for m in arguments.motions.split(",") if m]
+    motions = default_motions() if arguments.motions is None else motions_named(arguments.motions)
     with options_spelled(flags):
         notes = convert(
             arguments.avatar, arguments.out, motions=motions, tier=arguments.tier, gaussians=arguments.gaussians,

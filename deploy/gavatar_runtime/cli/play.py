@@ -23,19 +23,22 @@ def main(argv: list[str] | None = None) -> int:
         settings["motion"]["rest"] = arguments["rest"]
 
     from ..formats.files import write_json
-    from ..motions import MOTIONS, read_motion
+    from ..motions import MOTIONS, motions_named, read_motions
     from ..play.performance import perform
     from .play_report import FrameBar, as_json, table
 
     quiet, flags = arguments["quiet"], as_flags(arguments)
     with options_spelled(as_motion_options):  # before those of `perform`, whose --fps is another
-        motion = read_motion(arguments["motion"] or MOTIONS.default, **settings["motion"])
-    motion = dataclasses.replace(motion, notes=tuple(spelled(note, as_motion_options) for note in motion.notes))
+        motions = read_motions(motions_named(arguments["motion"] or MOTIONS.default), **settings["motion"])
+    motions = [
+        dataclasses.replace(motion, notes=tuple(spelled(note, as_motion_options) for note in motion.notes))
+        for motion in motions
+    ]
     earlier = perf_counter() - start
     with options_spelled(flags):
         report = perform(
             arguments["avatar"],
-            motion,
+            motions,
             arguments["out"],
             rasterizer_options=settings["rasterizer"] or None,
             output_options=settings["output"] or None,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 
-from ..play.defaults import AUTO, DEFAULT_FPS, DEFAULT_SIZE
+from ..play.defaults import AUTO, BLEND, DEFAULT_FPS, DEFAULT_SIZE
 
 DESCRIPTION = "Play an avatar: pose it by a motion, splat it, write a video, frames, a contact sheet or its Gaussians."
 EPILOG = """examples
   gavatar-play anna.gavatar                                    a turn, as anna_turn.mp4 next to the bundle; frames in
                                                                anna_turn/ where neither OpenCV nor ffmpeg is installed
   gavatar-play anna.gavatar --motion wave --orbit --out wave.mp4
+  gavatar-play anna.gavatar --motion walk,wave,idle --set motion.travel=true --blend 0.5
   gavatar-play anna.gavatar --motion dance.npz --frames 0:300 --size 1024 --out frames/
   gavatar-play anna.gavatar --motion wave --set motion.waves=3 --out sheet.png
   gavatar-play anna.gavatar --frames 30 --out anna.ply         the Gaussians of a frame, for programs that show splats
@@ -29,7 +30,14 @@ def parser() -> argparse.ArgumentParser:
         "gavatar-play", description=DESCRIPTION, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     p.add_argument("avatar", metavar="NAME.gavatar", help="bundle that gavatar-export wrote, zipped or unpacked")
-    p.add_argument("--motion", metavar="NAME|FILE", help="turn, wave or a motion file (default: turn)")
+    p.add_argument(
+        "--motion",
+        metavar="NAME|FILE,...",
+        help="turn, wave, idle, walk, run, jump, dance, stretch or a motion file; several, with commas between, play "
+        "one after another (default: turn)",
+    )
+    p.add_argument("--blend", type=float, default=BLEND, metavar="SECONDS",
+                   help=f"from each motion to the next (default: {BLEND:g})")  # fmt: skip
     p.add_argument(
         "--out",
         metavar="PATH",

@@ -39,13 +39,12 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
     from ..bundle import read_bundle
+    from ..motions import motions_named
     from ..view.server import Viewer
     from ..view.viewed_avatar import ViewedAvatar
 
     with options_spelled(as_flags(vars(arguments))):
-        scene = ViewedAvatar(
-            read_bundle(arguments.avatar), [m for m in arguments.motion.split(",") if m], arguments.threads
-        )
+        scene = ViewedAvatar(read_bundle(arguments.avatar), motions_named(arguments.motion), arguments.threads)
         viewer = Viewer(scene, arguments.host, arguments.port)
     with viewer:
         print(f"{scene.bundle.manifest.name}: {viewer.address}", flush=True)

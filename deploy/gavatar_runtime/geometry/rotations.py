@@ -29,6 +29,12 @@ def axis_angle_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     return (q[..., 1:] * factor).astype(q.dtype, copy=False)
 
 
+def quaternion_product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(..., 4) wxyz, the rotation `second` followed by `first`."""
+    w, v, w2, v2 = first[..., :1], first[..., 1:], second[..., :1], second[..., 1:]
+    return np.concatenate([w * w2 - np.sum(v * v2, -1, keepdims=True), w * v2 + w2 * v + np.cross(v, v2)], -1)
+
+
 def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     """(..., 4) wxyz, normalised here -> (..., 3, 3). A zero quaternion gives the identity, NaN stays NaN."""
     q = np.asarray(quaternion)

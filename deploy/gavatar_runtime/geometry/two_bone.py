@@ -64,9 +64,9 @@ def _turned(vector: np.ndarray, axis: np.ndarray, angle: np.ndarray) -> np.ndarr
 
 
 def _frame(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) right-handed axes in columns: along `first`, as near to `second` as that allows, and across both.
-    Where `second` is along `first` or has no length, the coordinate axis that is furthest from it takes its place; where
-    `first` has none, so does that for it."""
+    """(..., 3, 3) right-handed axes in columns: along `first`, as near to `second` as that allows, and across
+    both. Where `second` is along `first` or has no length, the coordinate axis that is furthest from it takes its
+    place; where `first` has none, y does."""
     x = _unit(first)
     x = np.where(np.linalg.norm(x, axis=-1, keepdims=True) > 0, x, np.eye(3)[1])
     y = second - x * np.sum(second * x, -1, keepdims=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, cast
@@ -49,6 +49,31 @@ def read_motion(source: str | Path, **options: Any) -> Motion:
     stays free of whatever they import. Raises UserError for an unknown name or suffix, a missing file, a wrong option.
     """
     return motion_source(source, **options).load()
+
+
+def motions_named(text: str) -> list[str]:
+    """The motions that a list `walk,wave,dance.npz` names, built-in ones and files; a comma may be part of a file's
+    name or of a folder's, where such a file is there. Empty places are left out."""
+    parts, names = text.split(","), []
+    while parts:
+        # the longest row of parts that together name something on the disk, else the next part alone
+        joined = (count for count in range(len(parts), 1, -1) if Path(",".join(parts[:count])).exists())
+        count = next(joined, 1)
+        names.append(",".join(parts[:count]))
+        parts = parts[count:]
+    return [name for name in names if name]
+
+
+def read_motions(sources: Sequence[str | Path], **options: Any) -> list[Motion]:
+    """Each as `read_motion` reads it, with those of the options that it has; one that none has is an error, as
+    there."""
+    found = [_find(source) for source in sources]
+    if len(sources) < 2 or None in found:
+        return [read_motion(source, **options) for source in sources]
+    fields = [{field.name for field in dataclasses.fields(component.config)} for component in found if component]
+    lost = {name: value for name, value in options.items() if not any(name in names for names in fields)}
+    given = [{k: v for k, v in options.items() if k in names} | lost for names in fields]
+    return [read_motion(source, **known) for source, known in zip(sources, given, strict=True)]
 
 
 def motion_source(source: str | Path, **options: Any) -> MotionSource:

@@ -12,14 +12,16 @@ from typing import Any, Literal
 
 from ..avatar.adaptive import AdaptiveAvatar
 from ..avatar.played import PlayedAvatar
+from ..avatar.playing import Avatar
 from ..bundle import Bundle, read_bundle
 from ..errors import WrongValue, options_spelled, spelled
 from ..motions import MOTIONS, read_motion
+from ..motions.sequence import in_sequence
 from ..render.choice import best_rasterizer, player_rasterizers
 from ..render.rasterizers import Rasterizer
 from ..values.camera import Camera
 from ..values.motion import Motion
-from .defaults import AUTO
+from .defaults import AUTO, BLEND
 from .outputs import FrameFormat, Output, default_output, find_output, open_output, output_called
 from .player import Progress, Timings, play_gaussians, play_images
 from .staging import Clip, Level, View, differing
@@ -58,10 +60,10 @@ class PlayReport:
 
 def perform(
     avatar: str | os.PathLike | Bundle | PlayedAvatar,
-    motion: str | Path | Motion | None = None,
+    motion: str | Path | Motion | Sequence[str | Path | Motion] | None = None,
     out: str | os.PathLike | None = None,
     *,
-    output: str | None = None, output_options: Mapping[str, Any] | None = None,
+    blend: float = BLEND, output: str | None = None, output_options: Mapping[str, Any] | None = None,
     fps: float | None = None, seconds: float | None = None, frames: slice | None = None, ground: bool = False,
     size: int | None = None, width: int | None = None, height: int | None = None,
     camera: str | float | Camera = "front", orbit: float | bool | None = None,
@@ -74,7 +76,8 @@ def perform(
 ) -> PlayReport:  # fmt: skip
     """Play an avatar through a motion into a file.
 
-    avatar: a bundle, its path, or an avatar, which is played as it was opened. motion: one, or the name or file of one.
+    avatar: a bundle, its path, or an avatar, which is played as it was opened. motion: one, or the name or file of one,
+    or several, played one after another with `blend` seconds from each to the next (`in_sequence`).
     out: where to, the kind of output by its suffix (`find_output`); None is a video beside the bundle, or a folder of
     frames where no video can be written. output, output_options: the name of an output where the suffix alone does not
     tell, and options of its own (`open_output`).
@@ -90,11 +93,12 @@ def perform(
     view = View(size, width, height, camera, orbit, background, rasterizer, rasterizer_options)
     level = Level(tier, min_psnr, target_fps, budget_ms, uv, seen_only, reuse, threads)
     notes = _Notes(tell)
-    motion = motion if isinstance(motion, Motion) else _read(motion or MOTIONS.default)
-    for note in motion.notes:
+    read = _all_read(motion)
+    for note in dict.fromkeys(note for one in read for note in one.notes):
         notes.add(note)
-    motion = clip.of(motion)
     source = read_bundle(avatar) if isinstance(avatar, (str, os.PathLike)) else avatar
+    motion, lacking = _joined(source, read, blend)
+    motion = clip.of(motion)
     out = _default_path(source, motion, output, notes) if out is None else out
     drawn = find_output(out, output).wants == "image"
     if not drawn:
@@ -103,6 +107,7 @@ def perform(
         notes.add(_slower_rasterizer())
     played = _opened(source, clip, view, level, motion)
     motion, ignored = clip.fitted(played, motion)
+    ignored = tuple(dict.fromkeys((*lacking, *ignored)))
     notes.add(f"the body has no {_listed(ignored)}; the motion's are ignored" if ignored else "")
     opened = partial(open_output, out, name=output, options=output_options)
     ready = _images(played, motion, opened, view, threads) if drawn else _gaussians(played, motion, opened)
@@ -111,6 +116,21 @@ def perform(
     for note in ready.output.notes:
         notes.add(note)
     return _report(str(out), ready, played, motion, threads, ignored, tuple(notes.all), seconds_to_ready, timings)
+
+
+def _all_read(motion: str | Path | Motion | Sequence[str | Path | Motion] | None) -> list[Motion]:
+    if motion is None or isinstance(motion, (str, Path, Motion)):
+        motion = [motion if isinstance(motion, Motion) else motion or MOTIONS.default]
+    return [one if isinstance(one, Motion) else _read(one) for one in motion or [MOTIONS.default]]
+
+
+def _joined(source: Bundle | PlayedAvatar, motions: Sequence[Motion], blend: float) -> tuple[Motion, tuple[str, ...]]:
+    """The one motion, as it is; or several as one of the avatar's body, and what moves in them that it lacks."""
+    if len(motions) == 1:
+        return motions[0], ()
+    body = Avatar(source, tier=None) if isinstance(source, Bundle) else source
+    fitted = [body.fit(motion) for motion in motions]
+    return in_sequence([motion for motion, _ in fitted], blend), tuple(n for _, names in fitted for n in names)
 
 
 def _read(source: str | Path) -> Motion:

@@ -72,8 +72,8 @@ def _standing_height(pitch: float, ahead: float) -> float:
 @dataclasses.dataclass(frozen=True)
 class _Course:
     """Where the body goes. times: seconds of the eight moments. near: metres that it is ahead of its feet at take-off
-    and behind them at landing. off, on: its height and speed then. depth: metres that it goes down before. forward: metres
-    that it goes ahead."""
+    and behind them at landing. off, on: its height and speed then. depth: metres that it goes down before. forward:
+    metres that it goes ahead."""
 
     times: np.ndarray
     near: float

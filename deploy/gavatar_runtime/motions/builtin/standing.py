@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...errors import UserError
-from ...geometry.rotations import axis_angle_from_quaternion, quaternion_from_axis_angle
+from ...geometry.rotations import axis_angle_from_quaternion, quaternion_from_axis_angle, quaternion_product
 from ...values.motion import Motion
 from ...values.skeletons import FINGERS, SMPLH
 
@@ -46,8 +46,7 @@ def composed(*degrees: np.ndarray) -> np.ndarray:
     several."""
     first, *rest = (quaternion_from_axis_angle(np.radians(d)) for d in degrees)
     for q in rest:
-        w, v, w2, v2 = first[..., :1], first[..., 1:], q[..., :1], q[..., 1:]
-        first = np.concatenate([w * w2 - np.sum(v * v2, -1, keepdims=True), w * v2 + w2 * v + np.cross(v, v2)], -1)
+        first = quaternion_product(first, q)
     return axis_angle_from_quaternion(first)
 
 
