@@ -19,6 +19,7 @@ from .version import __version__
 if TYPE_CHECKING:
     from .errors import UserError
     from .motions import read_motion
+    from .play.company import Companion, Place
     from .play.outputs import open_output
     from .player_face import Avatar, load
     from .render.renderer import Renderer
@@ -27,15 +28,17 @@ if TYPE_CHECKING:
     from .values.motion import Motion
 
 __all__ = [
-    "Avatar", "Camera", "Gaussians", "Motion", "Renderer", "Rendering", "UserError", "__version__", "load", "look_at",
+    "Avatar", "Camera", "Companion", "Gaussians", "Motion", "Place", "Renderer", "Rendering", "UserError", "__version__", "load", "look_at",
     "open_output", "read_motion",
 ]  # fmt: skip
 
 _HOME = {
     "Avatar": "player_face",
     "Camera": "values.camera",
+    "Companion": "play.company",
     "Gaussians": "values.gaussians",
     "Motion": "values.motion",
+    "Place": "play.company",
     "Renderer": "render.renderer",
     "Rendering": "values.gaussians",
     "UserError": "errors",

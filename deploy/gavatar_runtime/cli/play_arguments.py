@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 
 from ..play.defaults import AUTO, BLEND, DEFAULT_FPS, DEFAULT_SIZE
 
@@ -12,6 +13,7 @@ EPILOG = """examples
                                                                anna_turn/ where neither OpenCV nor ffmpeg is installed
   gavatar-play anna.gavatar --motion wave --orbit --out wave.mp4
   gavatar-play anna.gavatar --motion walk,wave,idle --set motion.travel=true --blend 0.5
+  gavatar-play anna.gavatar --motion wave --with ben.gavatar@1,0.2:-30 --with-motion dance
   gavatar-play anna.gavatar --motion dance.npz --frames 0:300 --size 1024 --out frames/
   gavatar-play anna.gavatar --motion wave --set motion.waves=3 --out sheet.png
   gavatar-play anna.gavatar --frames 30 --out anna.ply         the Gaussians of a frame, for programs that show splats
@@ -48,10 +50,43 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--ground", action="store_true", help="let the avatar stand on the floor, y = 0")
     p.add_argument("--rest", choices=("auto", "offsets", "first-frame", "anatomy"),
                    help="of BVH: the pose that counts as standing at rest (default: auto)")  # fmt: skip
+    _add_company(p.add_argument_group("several avatars"))
     _add_time(p.add_argument_group("time"))
     _add_view(p.add_argument_group("view"))
     _add_work(p.add_argument_group("work"))
     return p
+
+
+def _add_company(company: argparse._ArgumentGroup) -> None:
+    company.add_argument(
+        "--with", dest="with_avatar", action="append", default=[], type=placed_avatar,
+        metavar="NAME.gavatar[@X,Z[:DEGREES]]", help="another avatar in the picture: metres to the left and ahead of "
+        "the origin, turned to its left; may be given again",
+    )  # fmt: skip
+    company.add_argument("--with-motion", action="append", default=[], metavar="NAME|FILE,...",
+                         help="what it does, one for all or one for each --with (default: as --motion)")  # fmt: skip
+    company.add_argument("--with-tier", action="append", default=[], metavar="NAME",
+                         help="how it is decoded, one for all or one for each --with (default: as --tier)")  # fmt: skip
+    company.add_argument("--at", type=place, metavar="X,Z[:DEGREES]", help="where the first stands (default: 0,0:0)")
+
+
+def placed_avatar(text: str) -> tuple[str, tuple[float, float, float] | None]:
+    """Of `NAME.gavatar@X,Z:DEGREES`, with or without a place. An @ with no number behind it is part of the name.
+    Raises ArgumentTypeError for a place that is none."""
+    path, at, tail = text.rpartition("@")
+    if not at or not re.match(r"[-+.\d]", tail):
+        return text, None
+    return path, place(tail)
+
+
+def place(text: str) -> tuple[float, float, float]:
+    """X, Z and degrees of `X,Z:DEGREES` or `X,Z`. Raises ArgumentTypeError."""
+    position, _, heading = text.partition(":")
+    try:
+        x, z = map(float, position.split(","))
+        return x, z, float(heading) if heading else 0.0
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not X,Z or X,Z:DEGREES, in metres") from None
 
 
 def _add_time(time: argparse._ArgumentGroup) -> None:

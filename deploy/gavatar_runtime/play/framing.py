@@ -22,14 +22,15 @@ DIRECTIONS = {"front": 0.0, "left": 90.0, "back": 180.0, "right": 270.0}  # degr
 
 
 def frame_motion(
-    avatar: PlayedAvatar, motion: Motion, width: int, height: int, *, azimuth: float = 0.0, orbit: bool = False
-) -> Camera:
+    avatar: PlayedAvatar, motion: Motion, width: int, height: int, *, azimuth: float = 0.0, orbit: bool = False,
+    beside: Sequence[tuple[PlayedAvatar, Motion]] = (),
+) -> Camera:  # fmt: skip
     """A level camera that holds the avatar throughout a motion.
 
     motion: fitted to the avatar. azimuth: degrees from the person's front at the first frame towards their left side.
-    orbit: hold it from every side, for a camera that will circle.
+    orbit: hold it from every side, for a camera that will circle. beside: other avatars to hold, each with its motion.
     """
-    points = body_points(avatar, motion)
+    points = points_of_all([(avatar, motion), *beside])
     target = (points.min(0) + points.max(0)) / 2
     start = facing(motion) + np.radians(azimuth)
     angles = start + np.linspace(0, 2 * np.pi, 36, endpoint=False) if orbit else np.array([start])
@@ -66,6 +67,11 @@ def fitted_to(camera: Camera, width: int, height: int) -> Camera:
         width, height, camera.fx * factor, camera.fy * factor, camera.cx * factor + dx, camera.cy * factor + dy,
         camera.T_camera_world,
     )  # fmt: skip
+
+
+def points_of_all(all_played: Sequence[tuple[PlayedAvatar, Motion]]) -> np.ndarray:
+    """(S, 3) the `body_points` of several."""
+    return np.concatenate([body_points(avatar, motion) for avatar, motion in all_played])
 
 
 def body_points(avatar: PlayedAvatar, motion: Motion) -> np.ndarray:

@@ -19,12 +19,16 @@ from ..motions import MOTIONS, read_motion
 from ..motions.sequence import in_sequence
 from ..render.choice import best_rasterizer, player_rasterizers
 from ..render.rasterizers import Rasterizer
+from ..render.renderer import Renderer
 from ..values.camera import Camera
 from ..values.motion import Motion
+from .company import Companion, Place, abreast
 from .defaults import AUTO, BLEND
 from .outputs import FrameFormat, Output, default_output, find_output, open_output, output_called
 from .player import Progress, Timings, play_gaussians, play_images
 from .staging import Clip, Level, View, differing
+
+Cast = list[tuple[PlayedAvatar, Motion]]  # the first avatar and its companions, each with its motion where it stands
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +67,8 @@ def perform(
     motion: str | Path | Motion | Sequence[str | Path | Motion] | None = None,
     out: str | os.PathLike | None = None,
     *,
-    blend: float = BLEND, output: str | None = None, output_options: Mapping[str, Any] | None = None,
+    blend: float = BLEND, place: Place | None = None, beside: Sequence[Companion] = (),
+    output: str | None = None, output_options: Mapping[str, Any] | None = None,
     fps: float | None = None, seconds: float | None = None, frames: slice | None = None, ground: bool = False,
     size: int | None = None, width: int | None = None, height: int | None = None,
     camera: str | float | Camera = "front", orbit: float | bool | None = None,
@@ -78,6 +83,7 @@ def perform(
 
     avatar: a bundle, its path, or an avatar, which is played as it was opened. motion: one, or the name or file of one,
     or several, played one after another with `blend` seconds from each to the next (`in_sequence`).
+    place: where the person stands. beside: other avatars in the picture, each with a motion and a place.
     out: where to, the kind of output by its suffix (`find_output`); None is a video beside the bundle, or a folder of
     frames where no video can be written. output, output_options: the name of an output where the suffix alone does not
     tell, and options of its own (`open_output`).
@@ -93,35 +99,36 @@ def perform(
     view = View(size, width, height, camera, orbit, background, rasterizer, rasterizer_options)
     level = Level(tier, min_psnr, target_fps, budget_ms, uv, seen_only, reuse, threads)
     notes = _Notes(tell)
-    read = _all_read(motion)
-    for note in dict.fromkeys(note for one in read for note in one.notes):
-        notes.add(note)
+    read = _all_read(motion, notes)
     source = read_bundle(avatar) if isinstance(avatar, (str, os.PathLike)) else avatar
     motion, lacking = _joined(source, read, blend)
-    motion = clip.of(motion)
+    company = [_arriving(companion, blend, notes) for companion in beside]
+    span = abreast(clip, [motion, *(its for _, its in company)]) if company else clip
+    motion = span.of(motion)
     out = _default_path(source, motion, output, notes) if out is None else out
-    drawn = find_output(out, output).wants == "image"
-    if not drawn:
-        _check_undrawn(out, view, level, notes)
-    elif rasterizer == AUTO:
-        notes.add(_slower_rasterizer())
+    drawn = _is_drawn(out, output, view, level, notes)
     played = _opened(source, clip, view, level, motion)
     motion, ignored = clip.fitted(played, motion)
     ignored = tuple(dict.fromkeys((*lacking, *ignored)))
     notes.add(f"the body has no {_listed(ignored)}; the motion's are ignored" if ignored else "")
+    cast = [(played, (place or Place()).of(motion, played.joints[0]))]
+    cast += [_entered(*one, its, span, clip, view, level) for one, its in zip(company, beside, strict=True)]
     opened = partial(open_output, out, name=output, options=output_options)
-    ready = _images(played, motion, opened, view, threads) if drawn else _gaussians(played, motion, opened)
+    ready = _images(cast, opened, view, threads) if drawn else _gaussians(cast, opened)
     seconds_to_ready = perf_counter() - start
     timings = ready.play(progress=progress)
     for note in ready.output.notes:
         notes.add(note)
-    return _report(str(out), ready, played, motion, threads, ignored, tuple(notes.all), seconds_to_ready, timings)
+    return _report(str(out), ready, cast, threads, ignored, tuple(notes.all), seconds_to_ready, timings)
 
 
-def _all_read(motion: str | Path | Motion | Sequence[str | Path | Motion] | None) -> list[Motion]:
+def _all_read(motion: str | Path | Motion | Sequence[str | Path | Motion] | None, notes: _Notes) -> list[Motion]:
     if motion is None or isinstance(motion, (str, Path, Motion)):
         motion = [motion if isinstance(motion, Motion) else motion or MOTIONS.default]
-    return [one if isinstance(one, Motion) else _read(one) for one in motion or [MOTIONS.default]]
+    read = [one if isinstance(one, Motion) else _read(one) for one in motion or [MOTIONS.default]]
+    for note in dict.fromkeys(note for one in read for note in one.notes):
+        notes.add(note)
+    return read
 
 
 def _joined(source: Bundle | PlayedAvatar, motions: Sequence[Motion], blend: float) -> tuple[Motion, tuple[str, ...]]:
@@ -131,6 +138,34 @@ def _joined(source: Bundle | PlayedAvatar, motions: Sequence[Motion], blend: flo
     body = Avatar(source, tier=None) if isinstance(source, Bundle) else source
     fitted = [body.fit(motion) for motion in motions]
     return in_sequence([motion for motion, _ in fitted], blend), tuple(n for _, names in fitted for n in names)
+
+
+def _arriving(companion: Companion, blend: float, notes: _Notes) -> tuple[Bundle | PlayedAvatar, Motion]:
+    """What a companion comes with: the avatar, not opened yet, and its one motion."""
+    read = _all_read(companion.motion, notes)
+    source = companion.avatar
+    source = read_bundle(source) if isinstance(source, (str, os.PathLike)) else source
+    body = Avatar(source, tier=None) if isinstance(source, Bundle) else source
+    fitted = [body.fit(motion) for motion in read]
+    lacking = tuple(dict.fromkeys(name for _, names in fitted for name in names))
+    notes.add(f"{body.name} has no {_listed(lacking)}; the motion's are ignored" if lacking else "")
+    return source, in_sequence([motion for motion, _ in fitted], blend)
+
+
+def _entered(
+    source: Bundle | PlayedAvatar, motion: Motion, companion: Companion, span: Clip, clip: Clip, view: View,
+    level: Level,
+) -> tuple[PlayedAvatar, Motion]:  # fmt: skip
+    """A companion as it plays, and its motion at its place."""
+    motion = span.of(motion)
+    if level.budget_ms or level.uv == AUTO:
+        option = "`budget_ms`" if level.budget_ms else f"`uv={AUTO}`"
+        raise WrongValue(f"{option} goes by what one avatar needs: leave it out where several are in the picture")
+    if companion.tier:
+        level = dataclasses.replace(level, tier=companion.tier, min_psnr=None, target_fps=None)
+    played = level.open(source, clip, view, motion) if isinstance(source, Bundle) else source
+    motion, _ = span.fitted(played, motion)
+    return played, companion.place.of(motion, played.joints[0])
 
 
 def _read(source: str | Path) -> Motion:
@@ -169,48 +204,45 @@ class _Ready:
     rasterizer: str | None = None
 
 
-def _images(
-    avatar: PlayedAvatar,
-    motion: Motion,
-    opened: Callable[[FrameFormat], Output[Any]],
-    view: View,
-    threads: int | None,
-) -> _Ready:
-    cameras = view.cameras(avatar, motion)
+def _images(cast: Cast, opened: Callable[[FrameFormat], Output[Any]], view: View, threads: int | None) -> _Ready:
+    (avatar, motion), *others = cast
+    cameras = view.cameras(avatar, motion, others)
     renderer = view.renderer(avatar, threads)
+    beside = [(Renderer(other, renderer.rasterizer), its) for other, its in others]
     frames = FrameFormat(motion.fps, cameras[0].width, cameras[0].height, view.color)
     output = opened(frames)
-    play = partial(play_images, renderer, motion, cameras, output, background=view.color)
+    play = partial(play_images, renderer, motion, cameras, output, background=view.color, beside=beside)
     return _Ready(play, output, frames, type(renderer.rasterizer).__name__)
 
 
-def _gaussians(avatar: PlayedAvatar, motion: Motion, opened: Callable[[FrameFormat], Output[Any]]) -> _Ready:
+def _gaussians(cast: Cast, opened: Callable[[FrameFormat], Output[Any]]) -> _Ready:
+    (avatar, motion), *others = cast
     frames = FrameFormat(motion.fps)
     output = opened(frames)
-    return _Ready(partial(play_gaussians, avatar, motion, output), output, frames)
+    return _Ready(partial(play_gaussians, avatar, motion, output, beside=others), output, frames)
 
 
 def _report(
     out: str,
     ready: _Ready,
-    avatar: PlayedAvatar,
-    motion: Motion,
+    cast: Cast,
     threads: int | None,
     ignored: tuple[str, ...],
     notes: tuple[str, ...],
     seconds_to_ready: float,
     timings: Timings,
 ) -> PlayReport:
+    avatar, motion = cast[0]
     adaptive = avatar if isinstance(avatar, AdaptiveAvatar) else None
     return PlayReport(
-        avatar=avatar.name,
-        motion=motion.name,
+        avatar=", ".join(one.name for one, _ in cast),
+        motion=", ".join(its.name for _, its in cast),
         output=out,
         frames=len(timings),
         width=ready.frames.width or None,
         height=ready.frames.height or None,
         fps=motion.fps,
-        gaussians=len(avatar),
+        gaussians=sum(len(one) for one, _ in cast),
         tier=avatar.tier,
         uv=avatar.uv,
         rasterizer=ready.rasterizer,
@@ -255,6 +287,16 @@ def _slower_rasterizer() -> str:
     preferred = player_rasterizers()[max(preference, key=preference.__getitem__)]
     why, drawn_by = preferred.missing(), best_rasterizer()
     return f"rasterizer {drawn_by}, for {preferred.name} ({preferred.summary}) is missing: {why}" if why else ""
+
+
+def _is_drawn(out: str | os.PathLike, output: str | None, view: View, level: Level, notes: _Notes) -> bool:
+    """Whether that output takes pictures; what there is to note of it either way."""
+    if find_output(out, output).wants != "image":
+        _check_undrawn(out, view, level, notes)
+        return False
+    if view.rasterizer == AUTO:
+        notes.add(_slower_rasterizer())
+    return True
 
 
 def _check_undrawn(out: str | os.PathLike, view: View, level: Level, notes: _Notes) -> None:

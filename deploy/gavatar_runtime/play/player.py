@@ -15,7 +15,7 @@ import numpy as np
 from ..avatar.played import PlayedAvatar
 from ..render.renderer import Renderer
 from ..values.camera import Camera
-from ..values.gaussians import Gaussians
+from ..values.gaussians import Gaussians, together
 from ..values.motion import Motion
 from .outputs.output import Frame, Output
 
@@ -72,19 +72,23 @@ def play_images(
     output: Output[np.ndarray],
     *,
     background: Sequence[float] = (1.0, 1.0, 1.0),
+    beside: Sequence[tuple[Renderer, Motion]] = (),
     progress: Progress | None = None,
     pipelined: bool = True,
 ) -> Timings:
     """Draw a motion's frames into an output, and return what each stage of each took.
 
     motion: fitted to the renderer's avatar. cameras: one for all frames, or one a frame. background: sRGB in [0, 1].
+    beside: other avatars in the picture, each by a renderer of its own and a motion of as many frames; the first
+    renderer draws all Gaussians together, so that who is nearer hides who is behind.
     pipelined: decode a frame while the one before is drawn, and write in a thread of its own; the same images.
     progress: called as `progress(done, total)` after each frame. If anything fails, the output leaves nothing behind.
     """
     cameras = [cameras] * len(motion) if isinstance(cameras, Camera) else cameras
     if len(cameras) != len(motion):
         raise ValueError(f"{len(cameras)} cameras for {len(motion)} frames")
-    frames = _Images(renderer, motion, cameras, background)
+    _check_lengths(motion, [other for _, other in beside])
+    frames = _Images(renderer, motion, cameras, background, beside)
     return _play(frames, output, progress, pipelined)
 
 
@@ -93,18 +97,31 @@ def play_gaussians(
     motion: Motion,
     output: Output[Gaussians],
     *,
+    beside: Sequence[tuple[PlayedAvatar, Motion]] = (),
     progress: Progress | None = None,
     pipelined: bool = True,
 ) -> Timings:
     """As `play_images`, for an output that takes the Gaussians: nothing is drawn."""
-    return _play(_Gaussians(avatar, motion), output, progress, pipelined)
+    _check_lengths(motion, [other for _, other in beside])
+    return _play(_Gaussians(avatar, motion, beside), output, progress, pipelined)
+
+
+def _check_lengths(motion: Motion, others: Sequence[Motion]) -> None:
+    for other in others:
+        if len(other) != len(motion):
+            raise ValueError(f"motions of {len(motion)} and {len(other)} frames cannot be played beside each other")
+
+
+def _summed(stages: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Seconds by stage of all avatars."""
+    return {name: sum(s.get(name, 0.0) for s in stages) for name in dict.fromkeys(n for s in stages for n in s)}
 
 
 class _Frames(abc.ABC, Generic[Frame]):
     """How the frames of a motion are made: first `decode`, which may run in another thread, then `finish`."""
 
-    def __init__(self, avatar: PlayedAvatar, motion: Motion):
-        self.avatar, self.motion = avatar, motion
+    def __init__(self, avatar: PlayedAvatar, motion: Motion, beside: Sequence[tuple[PlayedAvatar, Motion]] = ()):
+        self.motion, self.played = motion, [(avatar, motion), *beside]
 
     @abc.abstractmethod
     def decode(self, frame: int) -> tuple[Gaussians, dict[str, float]]:
@@ -120,14 +137,19 @@ class _Frames(abc.ABC, Generic[Frame]):
 
 
 class _Images(_Frames[np.ndarray]):
-    def __init__(self, renderer: Renderer, motion: Motion, cameras: Sequence[Camera], background: Sequence[float]):
-        super().__init__(renderer.avatar, motion)
+    def __init__(
+        self, renderer: Renderer, motion: Motion, cameras: Sequence[Camera], background: Sequence[float],
+        beside: Sequence[tuple[Renderer, Motion]] = (),
+    ):  # fmt: skip
+        super().__init__(renderer.avatar, motion, [(other.avatar, its) for other, its in beside])
+        self._drawn = [(renderer, motion), *beside]
         self._renderer, self._cameras, self._background = renderer, cameras, background
         self._kept: np.ndarray | None = None
 
     def decode(self, frame: int) -> tuple[Gaussians, dict[str, float]]:
-        gaussians = self._renderer.gaussians(*self.motion.at(frame), camera=self._cameras[frame])
-        return gaussians, dict(self.avatar.stage_seconds)
+        camera = self._cameras[frame]
+        parts = [renderer.gaussians(*motion.at(frame), camera=camera) for renderer, motion in self._drawn]
+        return together(parts), _summed([avatar.stage_seconds for avatar, _ in self.played])
 
     def finish(self, gaussians: Gaussians, frame: int) -> tuple[np.ndarray, dict[str, float]]:
         image = self._renderer.rasterize_uint8(gaussians, self._cameras[frame], self._background)
@@ -142,7 +164,8 @@ class _Images(_Frames[np.ndarray]):
 
 class _Gaussians(_Frames[Gaussians]):
     def decode(self, frame: int) -> tuple[Gaussians, dict[str, float]]:
-        return self.avatar.gaussians(*self.motion.at(frame), copy=False), dict(self.avatar.stage_seconds)
+        parts = [avatar.gaussians(*motion.at(frame), copy=False) for avatar, motion in self.played]
+        return together(parts), _summed([avatar.stage_seconds for avatar, _ in self.played])
 
     def finish(self, gaussians: Gaussians, frame: int) -> tuple[Gaussians, dict[str, float]]:
         return gaussians, {}
@@ -153,7 +176,8 @@ class _Gaussians(_Frames[Gaussians]):
 
 
 def _play(frames: _Frames[Frame], output: Output[Frame], progress: Progress | None, pipelined: bool) -> Timings:
-    frames.avatar.follow(frames.motion)
+    for avatar, motion in frames.played:
+        avatar.follow(motion)
     timings: Timings = Timings()
     wanted = output.choose(len(frames.motion))
     threads = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
@@ -179,7 +203,8 @@ def _play(frames: _Frames[Frame], output: Output[Frame], progress: Progress | No
             written = writing.submit(write, frames.kept(result) if pipelined else result)
             wall = drawn - start
             timings.add({**stages, OTHER: max(0.0, wall - sum(stages.values())), WRITE: before}, wall)
-            frames.avatar.frame_took(wall)
+            for avatar, _ in frames.played:
+                avatar.frame_took(wall)
             if progress is not None:
                 progress(done, len(wanted))
             start = perf_counter()

@@ -25,7 +25,7 @@ from ..tiers import player_tiers
 from ..values.camera import Camera
 from ..values.motion import Motion
 from .defaults import AUTO, COLORS, DEFAULT_FPS, DEFAULT_SIZE, MAX_SIZE
-from .framing import DIRECTIONS, body_points, fitted_to, frame_motion, orbit, size_on_screen
+from .framing import DIRECTIONS, fitted_to, frame_motion, orbit, points_of_all, size_on_screen
 from .grounding import grounded
 from .selection import choose_tier
 
@@ -105,19 +105,21 @@ class View:
         """The background as sRGB in [0, 1]."""
         return color_from(self.background)
 
-    def cameras(self, avatar: PlayedAvatar, motion: Motion) -> list[Camera]:
-        """One camera a frame. motion: fitted to the avatar."""
+    def cameras(
+        self, avatar: PlayedAvatar, motion: Motion, beside: Sequence[tuple[PlayedAvatar, Motion]] = ()
+    ) -> list[Camera]:
+        """One camera a frame. motion: fitted to the avatar. beside: other avatars in the picture, each with its own."""
         width = self.width or self.size or self.height or DEFAULT_SIZE
         height = self.height or self.size or self.width or DEFAULT_SIZE
         camera = self._stored()
         if camera is None:
             azimuth = self._azimuth()
-            camera = frame_motion(avatar, motion, width, height, azimuth=azimuth, orbit=self.circles)
+            camera = frame_motion(avatar, motion, width, height, azimuth=azimuth, orbit=self.circles, beside=beside)
         elif self.size or self.width or self.height:
             camera = fitted_to(camera, width, height)
         if self.orbit is None or self.orbit is False:
             return [camera] * len(motion)
-        points = body_points(avatar, motion)
+        points = points_of_all([(avatar, motion), *beside])
         period = len(motion) if self.orbit is True else self.orbit * motion.fps
         return orbit(camera, (points.min(0) + points.max(0)) / 2, np.arange(len(motion)) / period)
 

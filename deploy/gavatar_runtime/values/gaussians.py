@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,35 @@ class Gaussians:
         """The same Gaussians in NumPy arrays of their own."""
         arrays = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return Gaussians(**{name: None if a is None else np.array(a) for name, a in arrays.items()})
+
+
+def together(parts: Sequence[Gaussians]) -> Gaussians:
+    """All of them as one, in NumPy arrays of its own; a single one is itself.
+
+    What one part has and another lacks is filled in as its absence means it: opacities of 1, quaternions of the
+    identity, one scale along each axis. Normals are kept only where all have them. Raises ValueError for none.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    scales = [np.asarray(part.scales) for part in parts]
+    if len({s.ndim for s in scales}) > 1:
+        scales = [s if s.ndim == 2 else np.repeat(s[:, None], 3, 1) for s in scales]
+    filled: dict[str, Any] = {"scales": np.concatenate(scales)}
+    for name, default in (("opacities", 1.0), ("quaternions", (1.0, 0.0, 0.0, 0.0))):
+        arrays = [getattr(part, name) for part in parts]
+        if any(array is not None for array in arrays):
+            filled[name] = np.concatenate(
+                [
+                    np.broadcast_to(np.array(default, part.means.dtype), (len(part), *np.shape(default)))
+                    if array is None
+                    else array
+                    for part, array in zip(parts, arrays, strict=True)
+                ]
+            )
+    if all(part.normals is not None for part in parts):
+        filled["normals"] = np.concatenate([part.normals for part in parts])
+    means, colors = (np.concatenate([getattr(part, name) for part in parts]) for name in ("means", "colors"))
+    return Gaussians(means=means, colors=colors, **filled)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

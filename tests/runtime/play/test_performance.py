@@ -169,5 +169,5 @@ def test_every_option_of_the_command_is_a_keyword():
     keywords = set(inspect.signature(perform).parameters)
     assert options <= keywords
     assert keywords - options == {
-        "avatar", "motion", "out", "rasterizer_options", "output_options", "progress", "tell"
+        "avatar", "motion", "out", "rasterizer_options", "output_options", "progress", "tell", "place", "beside"
     }  # fmt: skip
