@@ -134,8 +134,10 @@ def test_the_command_places_them(static, dynamic, tmp_path, capsys):
     report = json.loads((tmp_path / "t.json").read_text())
     assert report["motion"] == "wave, turn, turn"
     assert report["gaussians"] == 900
-    for more, message in ((["--with-tier", "full", "--with-tier", "full", "--with-tier", "full"], "--with-tier is given 3"),
-                          (["--budget-ms", "5"], "--budget-ms")):  # fmt: skip
+    for more, message in (
+        (["--with-tier", "full"] * 3, "--with-tier is given 3"),
+        (["--budget-ms", "5"], "--budget-ms"),
+    ):
         assert run_play(static, "--rasterizer", "dots", "--out", tmp_path / "b.png", *options, *more) == 2
         assert message in capsys.readouterr().err
     assert run_play(static, "--with-motion", "turn", "--out", tmp_path / "b.png") == 2
