@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from .values.motion import Motion
 
 __all__ = [
-    "Avatar", "Camera", "Companion", "Gaussians", "Motion", "Place", "Renderer", "Rendering", "UserError", "__version__", "load", "look_at",
-    "open_output", "read_motion",
+    "Avatar", "Camera", "Companion", "Gaussians", "Motion", "Place", "Renderer", "Rendering", "UserError",
+    "__version__", "load", "look_at", "open_output", "read_motion",
 ]  # fmt: skip
 
 _HOME = {

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import WrongValue
 from ...values.motion import Motion
-from ..source import MOTIONS, MotionSource, MotionTraits
+from ..source import MOTIONS, MotionSource
 from .curves import cyclic, eased, hermite
 from .figure import ANKLE, SIDES, SOLE, Figure, Foot, clearing, rolled
 from .standing import loop_phase
@@ -88,9 +88,7 @@ class RunOptions(WalkOptions):
     speed: float = 2.8
 
 
-@MOTIONS.register(
-    "walk", config=WalkOptions, summary="walks, in place or ahead; loops", traits=MotionTraits(varied=True)
-)
+@MOTIONS.register("walk", config=WalkOptions, summary="walks, in place or ahead; loops")
 class Walk(MotionSource):
     """Walks towards +z, the left foot landing first. The frame after the last would be the first, in place or, when it
     travels, as far ahead as it went."""
@@ -116,7 +114,7 @@ class Walk(MotionSource):
         return figure.motion(self.name, self.config.fps)
 
 
-@MOTIONS.register("run", config=RunOptions, summary="runs, in place or ahead; loops", traits=MotionTraits(varied=True))
+@MOTIONS.register("run", config=RunOptions, summary="runs, in place or ahead; loops")
 class Run(Walk):
     """Runs towards +z, both feet off the floor between steps; see `Walk`."""
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import WrongValue
 from ...values.motion import Motion
-from ..source import MOTIONS, MotionSource, MotionTraits
+from ..source import MOTIONS, MotionSource
 from .curves import eased, through
 from .figure import ANKLE, HIP, REACH, SIDES, Figure, Foot, planted, rolled
 from .standing import loop_phase
@@ -31,9 +31,7 @@ class JumpOptions:
     forward: float = 0.0
 
 
-@MOTIONS.register(
-    "jump", config=JumpOptions, summary="crouches, jumps and lands; loops", traits=MotionTraits(varied=True)
-)
+@MOTIONS.register("jump", config=JumpOptions, summary="crouches, jumps and lands; loops")
 class Jump(MotionSource):
     """A jump off both feet: down, arms back; up, arms ahead; a flight as gravity has it; down on the toes, giving way.
     The frame after the last would be the first, as far ahead as it jumped."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import WrongValue
 from ...values.motion import Motion
-from ..source import MOTIONS, MotionSource, MotionTraits
+from ..source import MOTIONS, MotionSource
 from .curves import cyclic
 from .figure import SIDES, Figure, planted
 from .standing import loop_phase
@@ -25,7 +25,6 @@ class StretchOptions:
 
 @MOTIONS.register(
     "stretch", config=StretchOptions, summary="arms overhead, to either side, down to the toes; loops",
-    traits=MotionTraits(varied=True),
 )  # fmt: skip
 class Stretch(MotionSource):
     """Both arms overhead, a bend to the left, one to the right, down to the toes, and up again joint by joint. The
