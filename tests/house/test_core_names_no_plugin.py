@@ -26,7 +26,7 @@ ROOMS = (*ROOMS, RUNTIME / "conversions")
 NO_CORE = (*ROOMS, LIBRARY / "demo.py")
 GROUPS = {registry.group for registry in REGISTRIES}
 
-PROJECT = {"gavatar"}  # its own name, which its capture layout has too
+PROJECT = {"gavatar", "run"}  # its own name, which its capture layout has too; what training writes, and a motion
 FAMILIES = {"smpl", "smplh", "smplx"}  # of body models: what files, motions and captures say that they are of
 AUTO = "the word for an option that decides by itself"
 # words that mean something else where they stand, and what

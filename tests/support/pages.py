@@ -14,12 +14,15 @@ NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 COMMANDS = {
     "gavatar-train": "gavatar.cli.train",
     "gavatar-demo": "gavatar.cli.demo",
+    "gavatar-make": "gavatar.cli.make",
     "gavatar-prepare": "gavatar.cli.prepare",
     "gavatar-eval": "gavatar.cli.evaluate",
     "gavatar-export": "gavatar.cli.export",
     "gavatar-tradeoff": "gavatar.cli.tradeoff",
     "gavatar-list": "gavatar.cli.list",
     "gavatar-play": "gavatar_runtime.cli.play",
+    "gavatar-convert": "gavatar_runtime.cli.convert",
+    "gavatar-view": "gavatar_runtime.cli.view",
     "gavatar-motion": "gavatar_runtime.cli.motion_files",
 }
 FENCE = re.compile(r"^```(?:\w*)\n(.*?)^```", re.M | re.S)
