@@ -37,6 +37,7 @@ export class Controls {
     [count.min, count.max, count.value] = [Math.min(1000, info.gaussians), info.gaussians, info.gaussians];
     this.find("speed").replaceChildren(...SPEEDS.map((s) => new Option(`${s}x`, s, s === 1, s === 1)));
     this.find("background").replaceChildren(...Object.keys(BACKGROUNDS).map((name) => new Option(name, name)));
+    this.find("panel").open = !window.matchMedia("(max-width: 600px)").matches; // there it would hide the avatar
     this.say(info.notes ?? []);
   }
 
@@ -59,7 +60,9 @@ export class Controls {
   // Start a motion; the view is kept unless this is the first.
   async play(name) {
     try {
+      this.wanted = name;
       const motion = await this.engine.motion(name);
+      if (this.wanted !== name) return; // another was chosen meanwhile
       const first = !this.state.motion;
       this.state.motion = motion;
       this.state.time = 0;
@@ -69,6 +72,7 @@ export class Controls {
       this.dirty = true;
     } catch (error) {
       this.say([error.message], true);
+      if (this.state.motion) this.find("motion").value = this.state.motion.name;
     }
   }
 
@@ -91,9 +95,10 @@ export class Controls {
 
   // What an engine draws: all of it plain values.
   view() {
-    const { motion, time, background, tier, gaussians, camera } = this.state;
+    const { motion, time, background, tier, gaussians, camera, playing } = this.state;
     const { width, height } = this.size();
-    return { motion: motion.name, time, background: BACKGROUNDS[background], tier, gaussians, orbit: camera, width, height,
+    const told = { color: background, azimuth: camera.azimuth - motion.extent.facing, frame: playing ? null : this.frame() };
+    return { motion: motion.name, time, background: BACKGROUNDS[background], tier, gaussians, told, width, height,
       camera: orbitCamera({ ...camera, width, height }) };
   }
 
@@ -125,7 +130,15 @@ export class Controls {
     return whole;
   }
 
+  // The frame that is shown, from 0.
+  frame() {
+    const { motion, time } = this.state;
+    return Math.min(Math.floor(time * motion.fps + 1e-6), motion.count - 1);
+  }
+
   pause(paused) {
+    const { motion, time, loop } = this.state;
+    if (!paused && motion && !loop && time >= (motion.count - 1) / motion.fps) this.state.time = 0;
     this.state.playing = !paused;
     this.find("play").textContent = paused ? "\u25B6" : "\u275A\u275A";
     this.find("play").title = paused ? "Play (space)" : "Pause (space)";
@@ -142,8 +155,8 @@ export class Controls {
   tell(now) {
     const { motion, time } = this.state;
     if (motion) {
-      const k = Math.min(Math.floor(time * motion.fps + 1e-6), motion.count - 1);
-      if (document.activeElement !== this.find("scrub")) this.find("scrub").value = k;
+      const k = this.frame();
+      this.find("scrub").value = k;
       this.find("time").textContent = `${time.toFixed(2)} s  ${k + 1}/${motion.count}`;
     }
     if (now - (this.told ?? 0) < 400) return;
@@ -173,7 +186,7 @@ export class Controls {
     on("screenshot", "click", () => this.screenshot());
     on("record", "click", () => this.record());
     on("command", "click", () => this.copyCommand());
-    on("file", "change", (e) => this.take(e.target.files));
+    on("file", "change", async (e) => { await this.take([...e.target.files]); e.target.value = ""; }); // so that it may be given again
     document.addEventListener("keydown", (e) => this.key(e));
     this.drag(this.engine.canvas);
     this.drop();
@@ -181,7 +194,9 @@ export class Controls {
   }
 
   key(event) {
-    if (/^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName) && event.target.type !== "range") return;
+    const { tagName } = event.target;
+    if (/^(INPUT|SELECT|TEXTAREA)$/.test(tagName) && event.target !== this.find("scrub")) return;
+    if (event.key === " " && /^(BUTTON|SUMMARY)$/.test(tagName)) return; // there it presses
     const acts = {
       " ": () => this.pause(this.state.playing), ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1),
       r: () => this.reset(), s: () => this.screenshot(), h: () => document.body.classList.toggle("bare"),
@@ -251,7 +266,7 @@ export class Controls {
         const name = await this.engine.addFile(file);
         this.listMotions();
         await this.play(name);
-        this.say([`${file.name} plays as '${name}'`]);
+        this.say([`${file.name} plays as '${name}'`, ...(this.engine.notes ?? [])]);
       } catch (error) {
         this.say([error.message], true);
       }
@@ -262,7 +277,7 @@ export class Controls {
     const over = (on) => (e) => { e.preventDefault(); document.body.classList.toggle("over", on); };
     document.addEventListener("dragover", over(true));
     document.addEventListener("dragleave", over(false));
-    document.addEventListener("drop", (e) => { over(false)(e); this.take(e.dataTransfer.files); });
+    document.addEventListener("drop", (e) => { over(false)(e); this.take([...e.dataTransfer.files]); });
   }
 
   save(blob, suffix) {
@@ -303,4 +318,13 @@ export class Controls {
       this.say([command]); // where a page may not write to the clipboard it can be marked and copied
     }
   }
+}
+
+// The command line that plays what a view shows, into a video or, where it is paused, into a picture. Cameras of its own
+// stand level, so that how high and how far this one stands is left out.
+export function playCommand(path, { motion, width, height, told }) {
+  const word = (text) => (/^[\w./-]+$/.test(text) ? text : `'${text.replaceAll("'", `'\\''`)}'`);
+  const degrees = ((told.azimuth * 180) / Math.PI).toFixed(0);
+  const still = told.frame === null ? "" : ` --frames ${told.frame} --out ${word(`${motion}_${told.frame}.png`)}`;
+  return `gavatar-play ${word(path)} --motion ${word(motion)} --camera ${degrees} --background ${told.color} --width ${width} --height ${height}${still}`;
 }

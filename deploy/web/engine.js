@@ -1,4 +1,5 @@
 // What the page draws with where the browser itself does: an avatar of avatar.js behind the controls' interface.
+import { playCommand } from "./controls.js";
 import { extent } from "./motion.js";
 import { readMotionFile } from "./motion_files.js";
 
@@ -60,7 +61,6 @@ export class LocalEngine {
   }
 
   command(view) {
-    const degrees = ((view.orbit.azimuth * 180) / Math.PI).toFixed(0);
-    return `gavatar-play ${this.info.name}.gavatar --motion ${view.motion} --camera ${degrees}`;
+    return playCommand(`${this.info.name}.gavatar`, view);
   }
 }

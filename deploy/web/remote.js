@@ -1,6 +1,7 @@
 // What the page draws with where a server does: frames over a WebSocket, each asked for when the last was shown.
-import { Controls } from "./controls.js";
+import { Controls, playCommand } from "./controls.js";
 
+const ENDED = "the connection to gavatar-view has ended: start it again and open the address that it prints";
 const ASKED = 2; // frames under way: one travels while the next is drawn
 
 export class RemoteEngine {
@@ -15,8 +16,7 @@ export class RemoteEngine {
     this.last = 0;
     this.stages = {};
     this.gaussians = 0;
-    this.onchange = () => {};
-    this.onlost = () => {};
+    this.onwrong = () => {}; // called with an Error of a frame, or of the connection
   }
 
   async open() {
@@ -34,14 +34,16 @@ export class RemoteEngine {
   }
 
   lost() {
-    const error = new Error("the connection to gavatar-view has ended: start it again and reload this page");
+    const error = new Error(ENDED);
     this.answers.forEach(({ reject }) => reject(error));
     this.answers.clear();
-    this.onlost(error);
+    this.asked = 0;
+    this.onwrong(error);
   }
 
   ask(message, ...parts) {
     const id = ++this.number;
+    if (this.socket.readyState !== WebSocket.OPEN) return Promise.reject(new Error(ENDED));
     const answer = new Promise((resolve, reject) => this.answers.set(id, { resolve, reject }));
     if (!parts.length) this.socket.send(JSON.stringify({ id, ...message }));
     else {
@@ -72,22 +74,26 @@ export class RemoteEngine {
 
   draw(view) {
     this.asked++;
-    const { orbit, ...wish } = view;
-    this.ask({ do: "draw", ...wish }).catch((error) => { this.asked--; this.onlost(error); });
+    const { told, ...wish } = view;
+    this.ask({ do: "draw", ...wish }).catch(this.onwrong).finally(() => { this.asked = Math.max(0, this.asked - 1); });
   }
 
   async frame(data) {
     const length = new DataView(data).getUint32(0, true);
     const head = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
     const bytes = new Uint8Array(data, 4 + length);
+    const waiting = this.answers.get(head.id);
     this.answers.delete(head.id);
-    const picture = head.kind === "jpeg" ? await createImageBitmap(new Blob([bytes], { type: "image/jpeg" })) : pixels(head, bytes);
-    this.asked--;
-    if (head.id > this.last) { // decoding may end in another order
-      this.last = head.id;
-      this.show(head, picture);
+    try {
+      const picture = head.kind === "jpeg" ? await createImageBitmap(new Blob([bytes], { type: "image/jpeg" })) : pixels(head, bytes);
+      if (head.id > this.last) { // decoding may end in another order
+        this.last = head.id;
+        this.show(head, picture);
+      }
+      waiting?.resolve(head);
+    } catch (error) {
+      waiting?.reject(new Error(`a frame cannot be shown: ${error.message}`));
     }
-    this.onchange();
   }
 
   show(head, picture) {
@@ -103,14 +109,16 @@ export class RemoteEngine {
     this.gaussians = head.gaussians;
   }
 
-  picture() { return new Promise((resolve) => this.canvas.toBlob(resolve, "image/png")); }
+  // The view without the losses of JPEG.
+  async picture({ told, ...wish }) {
+    await this.ask({ do: "draw", exact: true, ...wish });
+    return new Promise((resolve) => this.canvas.toBlob(resolve, "image/png"));
+  }
 
   stats() { return { drawn: this.frames, stages: this.stages, gaussians: this.gaussians }; }
 
   command(view) {
-    const degrees = ((view.orbit.azimuth * 180) / Math.PI).toFixed(0);
-    const path = /^[\w./-]+$/.test(this.info.path) ? this.info.path : `'${this.info.path}'`;
-    return `gavatar-play ${path} --motion ${view.motion} --tier ${view.tier} --camera ${degrees}`;
+    return `${playCommand(this.info.path, view)} --tier ${view.tier}`;
   }
 }
 
@@ -136,7 +144,7 @@ export async function openViewer() {
     line.textContent = error.message;
     find("notes").replaceChildren(line);
   };
-  engine.onlost = tell;
+  engine.onwrong = tell;
   try {
     await engine.open();
     window.controls = new Controls(engine);

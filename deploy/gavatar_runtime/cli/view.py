@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import threading
 import webbrowser
@@ -27,6 +28,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("avatar", metavar="NAME.gavatar", help="bundle that gavatar-export wrote, zipped or unpacked")
     p.add_argument("--motion", metavar="NAME,FILE", default="", help="more motions; the first plays")
+    p.add_argument("--tier", metavar="NAME", help="how it is decoded at the start (default: the first that it holds)")
     p.add_argument("--host", default="127.0.0.1", help="address to listen on (default: 127.0.0.1, this machine alone)")
     p.add_argument("--port", type=int, default=0, help="port to listen on (default: any that is free)")
     p.add_argument("--no-browser", action="store_true", help="only print the address")
@@ -44,17 +46,26 @@ def main(argv: list[str] | None = None) -> int:
     from ..view.viewed_avatar import ViewedAvatar
 
     with options_spelled(as_flags(vars(arguments))):
-        scene = ViewedAvatar(read_bundle(arguments.avatar), motions_named(arguments.motion), arguments.threads)
+        bundle, motions = read_bundle(arguments.avatar), motions_named(arguments.motion)
+        scene = ViewedAvatar(bundle, motions, tier=arguments.tier, threads=arguments.threads)
         viewer = Viewer(scene, arguments.host, arguments.port)
     with viewer:
         print(f"{scene.bundle.manifest.name}: {viewer.address}", flush=True)
-        if not arguments.no_browser and not webbrowser.open(viewer.address):
+        if not arguments.no_browser and not _opened(viewer.address):
             print("note: no browser could be started: open the address yourself", file=sys.stderr)
         try:
-            threading.Event().wait()
+            while not threading.Event().wait(1.0):  # without an end Ctrl+C would not be heard on Windows
+                pass
         except KeyboardInterrupt:
             print()
     return 0
+
+
+def _opened(address: str) -> bool:
+    """Whether a browser was started; one of text would take the terminal, and shows no pictures."""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        return False
+    return webbrowser.open(address)
 
 
 if __name__ == "__main__":

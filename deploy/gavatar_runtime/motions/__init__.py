@@ -6,9 +6,9 @@ Every module of this folder that registers a class adds one source; nothing else
 import importlib
 import pkgutil
 
-from .source import MOTIONS, MotionSource, motions_named, read_motion, read_motions
+from .source import MOTIONS, MotionSource, built_in_motions, motions_named, read_motion, read_motions
 
-__all__ = ["MOTIONS", "MotionSource", "motions_named", "read_motion", "read_motions"]
+__all__ = ["MOTIONS", "MotionSource", "built_in_motions", "motions_named", "read_motion", "read_motions"]
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")

@@ -95,6 +95,11 @@ def motion_source(source: str | Path, **options: Any) -> MotionSource:
     return MOTIONS.build(component.name, options, path=path)
 
 
+def built_in_motions() -> list[str]:
+    """Names of the motions that need no file."""
+    return [c.name for c in MOTIONS if not _class_of(c).suffixes and not _class_of(c).folder]
+
+
 def _class_of(component: Component[MotionSource]) -> type[MotionSource]:
     return cast("type[MotionSource]", component.factory)  # the registry takes nothing else
 
@@ -137,7 +142,6 @@ def _unknown(source: str) -> str:
     if suffix in _OTHER_FILES:
         return f"motion '{source}' cannot be read, {suffix} is no format of motions here: {_OTHER_FILES[suffix]}"
     kinds = {c.name: _class_of(c) for c in MOTIONS}
-    names = [name for name, kind in kinds.items() if not kind.suffixes and not kind.folder]
     suffixes = sorted({s for kind in kinds.values() for s in kind.suffixes})
-    hint = did_you_mean(source, names)
+    hint = did_you_mean(source, built_in_motions())
     return f"unknown motion '{source}': give a file ({', '.join(suffixes)}) or a built-in name, {hint}"

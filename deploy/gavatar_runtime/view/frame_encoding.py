@@ -13,13 +13,18 @@ def encoded(image: np.ndarray, quality: int = QUALITY) -> tuple[str, bytes | mem
     """(kind, bytes) of an image (H, W, 3) uint8: `jpeg`, or `rgb`, rows from the top."""
     cv2 = _opencv()
     if cv2 is None:
-        return "rgb", np.ascontiguousarray(image).data.cast("B")
+        return exact(image)
     # halved colour would blur red on white
     flags = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     done, data = cv2.imencode(".jpg", image[:, :, ::-1], flags)
     if not done:
-        return "rgb", np.ascontiguousarray(image).data.cast("B")
+        return exact(image)
     return "jpeg", data.data.cast("B")
+
+
+def exact(image: np.ndarray) -> tuple[str, memoryview]:
+    """The image as it is."""
+    return "rgb", np.ascontiguousarray(image).data.cast("B")
 
 
 def _opencv() -> ModuleType | None:

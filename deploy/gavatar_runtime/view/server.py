@@ -7,6 +7,7 @@ of a request ever becomes one of a file.
 
 from __future__ import annotations
 
+import contextlib
 import hmac
 import http.server
 import json
@@ -18,16 +19,18 @@ import urllib.parse
 from typing import Any
 
 from ..errors import UserError, WrongValue
-from .frame_encoding import encoded
+from .frame_encoding import encoded, exact
 from .page import viewer_page
 from .viewed_avatar import MOST, ViewedAvatar, Wish
-from .websocket import Closed, WebSocket, accept_key
+from .websocket import UNEXPECTED, Closed, WebSocket, accept_key
 
 LOOPBACK = "127.0.0.1"
 NAMES = ("127.0.0.1", "localhost", "[::1]")  # of the loopback address, which a browser may call it by
+EVERY = ("", "0.0.0.0", "::")  # address of this machine
 TEXT_MOST, MOST_BYTES = 1 << 16, 1 << 26  # of a message: wishes, and motion files
 IDLE = 3600  # seconds after which a connection without a word is closed
 CONNECTIONS = 16
+POLICY = 1008  # a close code: the message is none that this server takes
 
 
 class Viewer:
@@ -52,23 +55,21 @@ class Viewer:
     @property
     def address(self) -> str:
         """Where a browser finds the page, token included."""
-        host = socket.gethostname() if self.host in ("", "0.0.0.0", "::") else self.host
+        host = socket.gethostname() if self.host in EVERY else self.host
+        host = f"[{host}]" if ":" in host else host
         return f"http://{host}:{self.port}/?token={self.token}"
 
     def allows(self, host: str) -> bool:
-        """Whether a request may call the server so: by the address it is bound to, or any where it is bound to all,
-        which only an address with the token reaches."""
-        name, _, port = host.rpartition(":")
-        if port != str(self.port):
-            return False
-        if self.host in (LOOPBACK, "localhost", "::1"):
-            return name in NAMES
-        return name == self.host or self.host in ("", "0.0.0.0", "::")
+        """Whether a request may call the server so: by a name of the loopback address, or the address it is bound to,
+        or any where it is bound to all, where the token alone guards. The port may be another: ssh forwards some."""
+        name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
+        return name in (*NAMES, self.host, f"[{self.host}]") or self.host in EVERY
 
     def close(self) -> None:
         """End the server and its connections."""
         self._server.shutdown()
         self._server.server_close()
+        self._server.hang_up()
 
     def __enter__(self) -> Viewer:
         return self
@@ -90,10 +91,31 @@ class _Server(http.server.ThreadingHTTPServer):
 
     def __init__(self, address: tuple[str, int], viewer: Viewer):
         self.viewer = viewer
-        self.connections = threading.BoundedSemaphore(CONNECTIONS)
+        self.open: set[socket.socket] = set()
+        self.lock = threading.Lock()
         if ":" in address[0]:
             self.address_family = socket.AF_INET6
         super().__init__(address, _Handler)
+
+    def take(self, connection: socket.socket) -> bool:
+        """Count a connection that stays; False where there are too many already."""
+        with self.lock:
+            if len(self.open) >= CONNECTIONS:
+                return False
+            self.open.add(connection)
+            return True
+
+    def leave(self, connection: socket.socket) -> None:
+        """Count it no longer."""
+        with self.lock:
+            self.open.discard(connection)
+
+    def hang_up(self) -> None:
+        """End all connections that stay."""
+        with self.lock:
+            for connection in self.open:
+                with contextlib.suppress(OSError):
+                    connection.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A client that is gone is nobody's fault; anything else is a bug and keeps its traceback."""
@@ -133,13 +155,14 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             self._refuse(403, "only the viewer's own page may connect")
             return
         try:
-            if self.headers.get("Upgrade", "").lower() != "websocket" or self.headers["Sec-WebSocket-Version"] != "13":
+            asked = self.headers.get("Upgrade", "").lower(), self.headers.get("Sec-WebSocket-Version")
+            if asked != ("websocket", "13") or "upgrade" not in self.headers.get("Connection", "").lower():
                 raise ValueError("no WebSocket of version 13")
             answer = accept_key(self.headers["Sec-WebSocket-Key"] or "")
         except ValueError:
             self._refuse(400, "this address is for WebSockets")
             return
-        if not self.server.connections.acquire(blocking=False):
+        if not self.server.take(self.connection):
             self._refuse(503, f"{CONNECTIONS} pages are open already: close some")
             return
         try:
@@ -152,7 +175,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             self.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             serve(WebSocket(self.rfile, self.wfile, MOST_BYTES, TEXT_MOST), viewer.scene)
         finally:
-            self.server.connections.release()
+            self.server.leave(self.connection)
 
     def _refuse(self, status: int, sentence: str) -> None:
         self.close_connection = True
@@ -184,8 +207,13 @@ def serve(connection: WebSocket, scene: ViewedAvatar) -> None:
                 else:
                     _take_file(connection, scene, message)
             except _Malformed as error:
-                connection.close(1008, str(error))
+                connection.close(POLICY, str(error))
                 return
+            except Closed:
+                raise
+            except BaseException:  # a fault of ours: the page is told before its traceback is
+                connection.close(UNEXPECTED, "gavatar-view failed: its window tells more")
+                raise
     except Closed:
         return
 
@@ -226,14 +254,14 @@ def _hello(scene: ViewedAvatar) -> dict[str, Any]:
     bundle = scene.bundle
     return {
         "name": bundle.manifest.name, "path": str(bundle.path), "gaussians": bundle.manifest.gaussians,
-        "tiers": scene.tiers, "tier": scene.tiers[0], "motions": scene.motion_names, "most": MOST,
+        "tiers": scene.tiers, "tier": scene.tier, "motions": scene.motion_names, "most": MOST,
     }  # fmt: skip
 
 
 def _send_frame(connection: WebSocket, scene: ViewedAvatar, message: dict[str, Any]) -> None:
     wish = Wish.of(message)
     image, stages, count = scene.draw(wish)
-    kind, data = encoded(image)
+    kind, data = exact(image) if message.get("exact") is True else encoded(image)
     head = {
         "id": message["id"], "kind": kind, "width": image.shape[1], "height": image.shape[0], "gaussians": count,
         "stages": {name: round(ms, 2) for name, ms in stages.items()},

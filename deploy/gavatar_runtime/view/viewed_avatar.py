@@ -19,7 +19,7 @@ from ..avatar.playing import Avatar
 from ..bundle import Bundle
 from ..decoding.detail import uv_for_count
 from ..errors import UserError, WrongValue, did_you_mean
-from ..motions import MOTIONS, read_motion
+from ..motions import built_in_motions, read_motion
 from ..play.framing import body_points, facing
 from ..render.renderer import Renderer
 from ..tiers import stored_tiers
@@ -69,21 +69,26 @@ class Wish:
 class ViewedAvatar:
     """An avatar and motions, drawn for one page at a time.
 
-    bundle: of the avatar. motions: names of built-in ones and files. threads: that decode and draw. Its methods may be
-    called from any thread; one draws while others wait.
+    bundle: of the avatar. motions: names of built-in ones and files. tier: that pages begin with, None for the first
+    that the bundle holds. threads: that decode and draw. Its methods may be called from any thread; one draws while
+    others wait.
     """
 
-    def __init__(self, bundle: Bundle, motions: Sequence[str | Path | Motion] = (), threads: int | None = None):
+    def __init__(
+        self, bundle: Bundle, motions: Sequence[str | Path | Motion] = (), *, tier: str | None = None,
+        threads: int | None = None,
+    ):  # fmt: skip
         self.bundle, self.threads = bundle, threads
         self.body = Avatar(bundle, tier=None)
         self.tiers = stored_tiers(bundle)
+        self.tier = self._known(tier or self.tiers[0])
         self.lock = threading.RLock()
         self._motions: dict[str, Motion] = {}
         self._given: dict[str, str | Path] = {}
         self._open: collections.OrderedDict[tuple[str, int | None], Renderer] = collections.OrderedDict()
         for motion in motions:
             self.add(motion)
-        for name in _built_in():
+        for name in built_in_motions():
             self._given.setdefault(name, name)
 
     @property
@@ -154,11 +159,9 @@ class ViewedAvatar:
         return image, stages, len(gaussians)
 
     def _renderer(self, tier: str, gaussians: int | None) -> Renderer:
-        if tier not in self.tiers:
-            raise WrongValue(f"no tier '{tier}': {did_you_mean(tier, self.tiers)}")
         every = self.bundle.manifest.gaussians
         uv = None if gaussians is None or gaussians >= every else self._level(gaussians)
-        key = tier, uv
+        key = self._known(tier), uv
         if key not in self._open:
             avatar = Avatar(self.bundle, tier=tier, uv=uv, threads=self.threads)
             self._open[key] = Renderer(avatar, threads=self.threads)
@@ -166,6 +169,11 @@ class ViewedAvatar:
                 self._open.popitem(last=False)
         self._open.move_to_end(key)
         return self._open[key]
+
+    def _known(self, tier: str) -> str:
+        if tier not in self.tiers:
+            raise WrongValue(f"`tier={tier}`: the bundle has none so called; {did_you_mean(tier, self.tiers)}")
+        return tier
 
     def _level(self, gaussians: int) -> int | None:
         """The side of the atlas that keeps at most so many, the coarsest there is where even that keeps more; in steps
@@ -175,10 +183,6 @@ class ViewedAvatar:
         with contextlib.suppress(WrongValue):
             return max(64, uv_for_count(surface, gaussians) // (step := max(1, whole // 16)) * step)
         return 64 if whole > 64 else None
-
-
-def _built_in() -> list[str]:
-    return [component.name for component in MOTIONS if not component.kind.suffixes]
 
 
 def _at(motion: Motion, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:

@@ -11,7 +11,8 @@ from io import BufferedIOBase
 GUID = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
 CONTINUATION, TEXT, BINARY, CLOSE, PING, PONG = 0x0, 0x1, 0x2, 0x8, 0x9, 0xA
 PROTOCOL_ERROR, NOT_UTF8, TOO_BIG = 1002, 1007, 1009
-NORMAL = 1000
+NORMAL, UNEXPECTED = 1000, 1011
+NEVER_SENT = (1004, 1005, 1006, 1015)  # codes that name what happened without a close frame
 
 
 class Closed(Exception):
@@ -53,30 +54,23 @@ class WebSocket:
             raise Closed(1006, str(error)) from error
 
     def _receive(self) -> str | bytes:
-        parts: list[bytes] = []
-        kind = size = 0
+        whole = bytearray()
+        kind = 0
         while True:
-            final, code, data = self._frame(size, kind)
+            final, code, data = self._frame(len(whole), kind)
             if code == CLOSE:
-                raise Closed(struct.unpack(">H", data[:2])[0] if len(data) >= 2 else NORMAL)
+                raise _good_bye(data)
             if code == PING:
                 self._send(PONG, data)
                 continue
             if code == PONG:
                 continue
-            if (code == CONTINUATION) != bool(parts or kind):
+            if (code == CONTINUATION) != bool(kind):
                 raise Closed(PROTOCOL_ERROR, "a message began within another")
             kind = kind or code
-            parts.append(data)
-            size += len(data)
+            whole += data
             if final:
-                whole = b"".join(parts)
-                if kind == BINARY:
-                    return whole
-                try:
-                    return whole.decode("utf-8")
-                except UnicodeDecodeError:
-                    raise Closed(NOT_UTF8, "text that is not UTF-8") from None
+                return bytes(whole) if kind == BINARY else _text(whole)
 
     def _frame(self, before: int, kind: int) -> tuple[bool, int, bytes]:
         """(last of its message, opcode, data) of the next frame of a message that has `before` bytes already."""
@@ -92,7 +86,7 @@ class WebSocket:
             (length,) = struct.unpack(">H", self._exactly(2))
         elif length == 127:
             (length,) = struct.unpack(">Q", self._exactly(8))
-        if length + before > (self.text_most if TEXT in (code, kind) else self.most):
+        if code < CLOSE and length + before > (self.text_most if TEXT in (code, kind) else self.most):
             raise Closed(TOO_BIG, "message too big")
         mask = self._exactly(4)
         return bool(first & 0x80), code, _unmasked(self._exactly(length), mask)
@@ -118,9 +112,9 @@ class WebSocket:
         """Say good-bye; harmless twice, and where the other side is gone."""
         if self._ended:
             return
-        sent = code if 1000 <= code < 5000 and code not in (1005, 1006) else NORMAL
+        sent = NORMAL if code in NEVER_SENT else code
         with contextlib.suppress(Closed):
-            self._send(CLOSE, struct.pack(">H", sent) + reason.encode()[:120])
+            self._send(CLOSE, struct.pack(">H", sent) + reason.encode()[:120].decode(errors="ignore").encode())
         self._ended = True
 
     def _send(self, code: int, *parts: bytes | memoryview) -> None:
@@ -141,6 +135,23 @@ class WebSocket:
         except (OSError, ValueError) as error:
             self._ended = True
             raise Closed(1006, str(error)) from error
+
+
+def _text(data: bytes | bytearray) -> str:
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise Closed(NOT_UTF8, "text that is not UTF-8") from None
+
+
+def _good_bye(data: bytes) -> Closed:
+    """What a close frame says (section 5.5.1)."""
+    if not data:
+        return Closed(NORMAL)
+    code = int.from_bytes(data[:2], "big")
+    if len(data) == 1 or code not in range(1000, 5000) or code in NEVER_SENT:
+        return Closed(PROTOCOL_ERROR, "no reason to close")
+    return Closed(code, _text(data[2:]))
 
 
 def _unmasked(data: bytes, mask: bytes) -> bytes:
