@@ -147,7 +147,8 @@ export class Controls {
   step(frames) {
     const { motion } = this.state;
     this.pause(true);
-    const k = Math.round(this.state.time * motion.fps) + frames;
+    const exact = this.state.time * motion.fps;
+    const k = (frames > 0 ? Math.floor(exact + 1e-6) : Math.ceil(exact - 1e-6)) + frames;
     this.state.time = (((k % motion.count) + motion.count) % motion.count) / motion.fps;
     this.dirty = true;
   }

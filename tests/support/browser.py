@@ -160,12 +160,8 @@ def opened_page(*flags: str, width: int = 512, height: int = 512) -> Iterator[Pa
         yield page
     finally:
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, 15)
-        try:
-            process.wait(10)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, 9)
-            process.wait()
+            os.killpg(process.pid, 9)  # its profile goes with it: there is nothing to save
+        process.wait()
         os.close(from_us)
         os.close(to_us)
         shutil.rmtree(folder, ignore_errors=True)

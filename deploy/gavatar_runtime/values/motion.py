@@ -65,6 +65,23 @@ class Motion:
             fields["hands"] = dataclasses.replace(self.hands, values=change(self.hands.values))
         return dataclasses.replace(self, **fields)
 
+    def at_time(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """As `at`, `time` seconds after the first frame: between frames as `resampled` has them, the first and the last
+        beyond them."""
+        place = min(max(time * self.fps, 0.0), len(self) - 1.0)
+        low = min(int(place + 1e-6), len(self) - 1)
+        share = place - low
+        if share < 1e-6 or low + 1 >= len(self):
+            return self.at(low)
+        q = quaternion_from_axis_angle(self.poses[low : low + 2].astype(np.float64))
+        pose = axis_angle_from_quaternion(slerp(q[0], q[1], np.array(share))).astype(self.poses.dtype)
+        others = [
+            None if a is None else a[low] * (1 - share) + a[low + 1] * share for a in (self.trans, self.expression)
+        ]
+        trans, expression = (None if a is None else a.astype(np.float32) for a in others)
+        assert trans is not None
+        return pose, trans, expression
+
     def resampled(self, fps: float) -> Motion:
         """The motion at another frame rate: slerp per joint, all else linear; the first and last time are kept as
         far as the new rate allows. One frame stays one frame."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..avatar.playing import Avatar
 from ..bundle import Bundle
-from ..decoding.detail import uv_for_count
+from ..decoding.detail import MIN_UV, uv_for_count
 from ..errors import UserError, WrongValue, did_you_mean
 from ..motions import built_in_motions, read_motion
 from ..play.framing import body_points, facing
@@ -56,7 +56,7 @@ class Wish:
             raise WrongValue("`camera` has a focal length that is not positive")
         T = np.eye(4)
         T[:3] = np.reshape(view[:12], (3, 4))
-        if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-3:
+        if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-3 or np.linalg.det(T[:3, :3]) < 0:
             raise WrongValue("`camera` has a view that is no rotation")
         r, g, b = np.clip(_numbers(message, "background", (3,)), 0, 1).tolist()
         count = message.get("gaussians")
@@ -149,7 +149,7 @@ class ViewedAvatar:
         """(H, W, 3) uint8, milliseconds of each stage, and how many Gaussians were drawn."""
         motion = self.motion(wish.motion)
         start = perf_counter()
-        pose, trans, expression = _at(motion, wish.time)
+        pose, trans, expression = motion.at_time(wish.time)
         with self.lock:
             renderer = self._renderer(wish.tier, wish.gaussians)
             gaussians = renderer.gaussians(pose, trans, expression, camera=wish.camera)
@@ -180,21 +180,12 @@ class ViewedAvatar:
         of a sixteenth, so that dragging a slider does not open a hundred avatars."""
         surface = self.body.surface
         whole = surface.resolution
+        if whole <= MIN_UV:
+            return None
+        step = max(1, whole // 16)
         with contextlib.suppress(WrongValue):
-            return max(64, uv_for_count(surface, gaussians) // (step := max(1, whole // 16)) * step)
-        return 64 if whole > 64 else None
-
-
-def _at(motion: Motion, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """The pose at a time in seconds, between frames as `Motion.resampled` has it."""
-    place = min(max(time * motion.fps, 0.0), len(motion) - 1.0)
-    low = min(int(place + 1e-6), len(motion) - 1)
-    share = place - low
-    if share < 1e-6 or low + 1 >= len(motion):
-        return motion.at(low)
-    pair = dataclasses.replace(motion.taken([low, low + 1]), fps=1.0)
-    # a rate at which the second frame stands at the wanted share
-    return pair.resampled(1.0 / share).at(1)
+            return max(MIN_UV, uv_for_count(surface, gaussians) // step * step)
+        return MIN_UV
 
 
 def _text(message: Mapping[str, Any], name: str) -> str:
