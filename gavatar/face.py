@@ -15,14 +15,19 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import tempfile
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 
 from gavatar_runtime.bundle import Manifest
+from gavatar_runtime.conversions import CONVERSIONS, Conversion, convert
 from gavatar_runtime.errors import UserError, WrongValue
+from gavatar_runtime.notes import Note
+from gavatar_runtime.tiers import PLAYER_TIERS
 
 from .capture import opening
 from .capture.capture import Capture
@@ -161,7 +166,8 @@ class TrainedRun:
     ) -> ExportedAvatar:
         """Write the avatar as a bundle that plays without PyTorch.
 
-        out: NAME.gavatar, by default of the capture's name in the run's folder. tiers: cheaper ways to decode it, names
+        out: NAME.gavatar, by default of the capture's name in the run's folder; or NAME.html and what else
+        `avatar.convert` writes to a file, from a bundle that is not kept. tiers: cheaper ways to decode it, names
         or "auto" for those that pay on this machine. uv: side of the atlas whose texels are the Gaussians, default as
         trained. drop_unseen: leave out Gaussians that no training view sees nor any neighbour within 2 cm. poses: of
         the capture that it is verified on.
@@ -171,7 +177,7 @@ class TrainedRun:
         """
         path = Path(out) if out is not None else self.directory / f"{self.capture.name}.gavatar"
         if path.suffix != ".gavatar":
-            raise UserError(f"{path}: a bundle's name ends in .gavatar")
+            return self._exported_elsewhere(path, tiers, uv=uv, drop_unseen=drop_unseen, poses=poses, progress=progress)
         if poses < 1:
             raise WrongValue(f"`poses={poses}`: give at least 1, an export that is not verified is not written")
         names = [name.strip() for name in tiers.split(",") if name.strip()] if isinstance(tiers, str) else list(tiers)
@@ -181,10 +187,25 @@ class TrainedRun:
             manifest = export(self.opened, path, poses, tiers=names, uv=uv, drop_unseen=drop_unseen, progress=progress)
         return ExportedAvatar(path, manifest)
 
+    def _exported_elsewhere(self, path: Path, tiers: str | Sequence[str], **how: Any) -> ExportedAvatar:
+        """A file of another kind than a bundle, made of one with the tiers that can be played without networks."""
+        if path.suffix.lower() not in (s for c in CONVERSIONS for s in cast("type[Conversion]", c.factory).suffixes):
+            raise UserError(
+                f"{path}: a bundle's name ends in .gavatar, a web page's in .html (gavatar-list conversion)"
+            )
+        if not tiers and self.dynamic:
+            tiers = PLAYER_TIERS.having(linear=True)
+        with tempfile.TemporaryDirectory(prefix="gavatar-export-") as folder:
+            bundle = self.export(Path(folder, f"{path.stem}.gavatar"), tiers=tiers, **how)
+            for note in convert(bundle.path, path):
+                warnings.warn(note, Note, stacklevel=3)
+        return ExportedAvatar(path, bundle.manifest)
+
 
 @dataclasses.dataclass(frozen=True)
 class ExportedAvatar:
-    """A bundle that was written. It may be given wherever a path may, as in `gavatar_runtime.load(exported)`."""
+    """A bundle that was written, or what was made of one; manifest: of that bundle. It may be given wherever a path
+    may, as in `gavatar_runtime.load(exported)`."""
 
     path: Path
     manifest: Manifest

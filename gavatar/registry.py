@@ -20,6 +20,7 @@ from types import ModuleType
 from typing import Any
 
 from gavatar_runtime.components import Component, NoOptions, Registry
+from gavatar_runtime.conversions import CONVERSIONS
 from gavatar_runtime.decoding.pose_inputs import Shape, input_shapes
 from gavatar_runtime.motions import MOTIONS
 from gavatar_runtime.notes import Note
@@ -103,14 +104,17 @@ LOSSES: Registry = Registry("loss", LossTraits)
 CAPTURES: Registry = Registry("capture_format", CaptureTraits)
 TIERS: Registry = Registry("tier")
 
-REGISTRIES: tuple[Registry, ...] = (BODIES, ENCODERS, DECODERS, RASTERIZERS, LOSSES, CAPTURES, MOTIONS, TIERS, OUTPUTS)
+REGISTRIES: tuple[Registry, ...] = (
+    BODIES, ENCODERS, DECODERS, RASTERIZERS, LOSSES, CAPTURES, MOTIONS, TIERS, OUTPUTS, CONVERSIONS,
+)  # fmt: skip
 ENTRY_POINT_GROUP = "gavatar.plugins"
 PLUGIN_ROOMS = ("bodies", "captures", "decoders", "encoders", "losses", "rasterizers", "tiers")
 
 __all__ = [
-    "BODIES", "CAPTURES", "DECODERS", "ENCODERS", "LOSSES", "MOTIONS", "OUTPUTS", "RASTERIZERS", "REGISTRIES", "TIERS",
-    "BodyTraits", "CaptureTraits", "Component", "DecoderTraits", "EncoderTraits", "LossTraits", "NoOptions",
-    "PluginFailure", "RasterizerTraits", "Registry", "fill_config_store", "load_plugins", "resolve",
+    "BODIES", "CAPTURES", "CONVERSIONS", "DECODERS", "ENCODERS", "LOSSES", "MOTIONS", "OUTPUTS", "RASTERIZERS",
+    "REGISTRIES", "TIERS", "BodyTraits", "CaptureTraits", "Component", "DecoderTraits", "EncoderTraits",
+    "LossTraits", "NoOptions", "PluginFailure", "RasterizerTraits", "Registry", "fill_config_store", "load_plugins",
+    "resolve",
 ]  # fmt: skip
 
 

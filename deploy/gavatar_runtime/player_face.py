@@ -5,15 +5,16 @@ from __future__ import annotations
 import functools
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .avatar import playing
 from .avatar.poses import joint_rows, numbers, pose_of_parts
 from .bundle import Bundle, read_bundle
+from .conversions import convert
 from .decoding.detail import uv_for_count
 from .errors import WrongValue
 from .motions.builtin import relaxed_pose
@@ -25,6 +26,9 @@ from .tiers import stored_tiers
 from .values.camera import Camera
 from .values.gaussians import Gaussians
 from .values.motion import Motion
+
+if TYPE_CHECKING:
+    from .view.server import Viewer
 
 
 def load(
@@ -141,6 +145,42 @@ class Avatar(playing.Avatar):
             return perform(self, motion, out, **how)
         finally:
             self.follow(None)  # a pose has the same Gaussians, to the last bit, whatever was played before
+
+    def convert(
+        self,
+        path: str | os.PathLike,
+        *,
+        motions: Iterable[str | Path | Motion] | None = None,
+        tier: str | None = None,
+        gaussians: int | None = None,
+        conversion: str | None = None,
+        conversion_options: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Turn the avatar with motions into another program's file, as `gavatar-convert` does: `avatar.convert(
+        "anna.html", motions=["wave", "dance.npz"])` writes a web page that plays offline.
+
+        motions: built-in ones by name, files or `Motion`s, None for some built-in ones; the first plays at the start.
+        tier: how the look is taken, None for the best that the format can play. gaussians: at most so many. conversion,
+        conversion_options: the name of one where the suffix does not tell, and options of its own.
+        """
+        notes = convert(
+            self.bundle, path, motions=motions, tier=tier, gaussians=gaussians, name=conversion,
+            options=conversion_options,
+        )  # fmt: skip
+        for note in notes:
+            warnings.warn(note, Note, stacklevel=2)
+
+    def view(self, motions: Sequence[str | Path | Motion] = (), *, port: int = 0) -> Viewer:
+        """Show the avatar in a page, as `gavatar-view` does: in a notebook the last line of a cell shows it there;
+        elsewhere open its `address` in a browser on this machine.
+
+        motions: beside the built-in ones; the first plays. port: to listen on, 0 for any that is free. What comes back
+        serves the page until it is closed, deleted or the program ends.
+        """
+        from .view.server import Viewer
+        from .view.viewed_avatar import ViewedAvatar
+
+        return Viewer(ViewedAvatar(self.bundle, motions, tier=self.tier), port=port)
 
     def save(
         self,

@@ -1,4 +1,4 @@
-// Motion files dropped on the page: .npz of AMASS and the SMPL family, and .bvh whose rest pose is a T-pose.
+// Motion files dropped on the page: .npz of AMASS and the SMPL family; others are turned into one by gavatar-motion.
 import { Motion } from "./motion.js";
 import { matricesFromAxisAngle } from "./pose.js";
 
@@ -14,7 +14,7 @@ export async function readMotionFile(file, body, relaxed) {
   const suffix = file.name.toLowerCase().replace(/^.*\./, ".");
   const name = file.name.replace(/\.[^.]*$/, "");
   if (suffix === ".npz") return fromArrays(name, file.name, await readNpz(file), body, relaxed);
-  throw new Error(`${file.name}: this page reads .npz motions; ${OTHERS}`);
+  throw new Error(`${file.name}: this page reads .npz motions alone; ${OTHERS}`);
 }
 
 function fromArrays(name, file, arrays, body, relaxed) {

@@ -13,6 +13,7 @@ DESCRIPTION = "Export a trained run as an avatar bundle that plays without torch
 EPILOG = """examples
   gavatar-export runs/anna                     writes runs/anna/anna.gavatar
   gavatar-export runs/anna -o anna.gavatar
+  gavatar-export runs/anna -o anna.html        one web page that plays offline (gavatar-list conversion)
   gavatar-export runs/anna --stage 1 -o anna_static.gavatar    without dynamics
   gavatar-export runs/anna --tiers auto        with the cheaper tiers that pay on this machine
   gavatar-export runs/anna --tiers blendshape,baked --uv 512
@@ -27,7 +28,9 @@ def parser() -> argparse.ArgumentParser:
         "gavatar-export", description=DESCRIPTION, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("run", metavar="RUN", help="run directory that gavatar-train wrote")
-    parser.add_argument("-o", "--out", metavar="FILE", help="bundle to write (default: RUN/<capture>.gavatar)")
+    parser.add_argument(
+        "-o", "--out", metavar="FILE", help="bundle, or web page, to write (default: RUN/<capture>.gavatar)"
+    )
     parser.add_argument("--stage", type=int, choices=(1, 2), help="avatar of this stage (default: the last trained)")
     parser.add_argument("--capture", metavar="DIR", help="where the capture is now, if it has moved")
     parser.add_argument(

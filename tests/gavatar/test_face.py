@@ -163,6 +163,13 @@ def test_exporting_writes_a_bundle_that_says_what_it_is(run, tmp_path):
     assert not (tmp_path / "other.gavatar").exists()
 
 
+def test_exporting_to_a_page_leaves_no_bundle(run, tmp_path):
+    exported = run.export(tmp_path / "anna.html", poses=2)
+    assert (tmp_path / "anna.html").read_text().startswith("<!DOCTYPE html>")
+    assert exported.manifest.gaussians == run.gaussians
+    assert [p.name for p in tmp_path.iterdir()] == ["anna.html"]
+
+
 def test_an_export_at_another_resolution_changes_neither_the_run_nor_its_scores(run, tmp_path):
     before = run.evaluate(["train"], fit_steps=0, perceptual=False, progress=False).rows[0].psnr
     assert run.export(tmp_path / "finer.gavatar", uv=96, poses=2).manifest.gaussians > run.gaussians

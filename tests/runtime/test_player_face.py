@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
+import urllib.error
+import urllib.request
 import warnings
 
 import numpy as np
@@ -34,6 +37,26 @@ def avatar(bundle):
 @pytest.fixture
 def pose() -> np.ndarray:
     return np.random.default_rng(0).normal(0, 0.3, (52, 3)).astype(np.float32)
+
+
+def test_an_avatar_is_shown_in_a_page_that_ends_with_it(avatar):
+    shown = avatar.view(["wave"])
+    address = shown.address
+    with urllib.request.urlopen(address, timeout=20) as page:
+        assert b"<canvas" in page.read()
+    assert shown.scene.motion_names[0] == "wave"
+    assert f'src="{address}"' in shown._repr_html_()
+    del shown
+    gc.collect()
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(address, timeout=20)
+
+
+def test_an_avatar_becomes_a_web_page(static, tmp_path):
+    gr.load(static).convert(tmp_path / "anna.html", motions=["wave"], gaussians=50)
+    assert "<canvas" in (tmp_path / "anna.html").read_text()
+    with pytest.raises(gr.UserError, match="gavatar-play"):
+        gr.load(static).convert(tmp_path / "anna.mp4")
 
 
 def same(a: gr.Gaussians, b: gr.Gaussians) -> bool:

@@ -16,6 +16,7 @@ import socket
 import struct
 import threading
 import urllib.parse
+import weakref
 from typing import Any
 
 from ..errors import UserError, WrongValue
@@ -42,15 +43,14 @@ class Viewer:
 
     def __init__(self, scene: ViewedAvatar, host: str = LOOPBACK, port: int = 0):
         self.scene = scene
-        self.token = secrets.token_urlsafe(16)
         self.host = host
         try:
-            self._server = _Server((host, port), self)
+            server = _Server((host, port), scene)
         except (OSError, OverflowError) as error:
             raise UserError(f"cannot listen on {host}:{port}: {error}") from None
-        self.port = int(self._server.server_address[1])
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
-        self._thread.start()
+        self.port, self.token = int(server.server_address[1]), server.token
+        threading.Thread(target=server.serve_forever, args=(0.1,), daemon=True).start()
+        self._end = weakref.finalize(self, server.end)
 
     @property
     def address(self) -> str:
@@ -59,17 +59,9 @@ class Viewer:
         host = f"[{host}]" if ":" in host else host
         return f"http://{host}:{self.port}/?token={self.token}"
 
-    def allows(self, host: str) -> bool:
-        """Whether a request may call the server so: by a name of the loopback address, or the address it is bound to,
-        or any where it is bound to all, where the token alone guards. The port may be another: ssh forwards some."""
-        name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
-        return name in (*NAMES, self.host, f"[{self.host}]") or self.host in EVERY
-
     def close(self) -> None:
-        """End the server and its connections."""
-        self._server.shutdown()
-        self._server.server_close()
-        self._server.hang_up()
+        """End the server and its connections, as happens when this object is gone."""
+        self._end()
 
     def __enter__(self) -> Viewer:
         return self
@@ -89,8 +81,9 @@ class _Server(http.server.ThreadingHTTPServer):
     daemon_threads = True
     request_queue_size = 32
 
-    def __init__(self, address: tuple[str, int], viewer: Viewer):
-        self.viewer = viewer
+    def __init__(self, address: tuple[str, int], scene: ViewedAvatar):
+        self.host, self.scene = address[0], scene
+        self.token = secrets.token_urlsafe(16)
         self.open: set[socket.socket] = set()
         self.lock = threading.Lock()
         if ":" in address[0]:
@@ -110,8 +103,16 @@ class _Server(http.server.ThreadingHTTPServer):
         with self.lock:
             self.open.discard(connection)
 
-    def hang_up(self) -> None:
-        """End all connections that stay."""
+    def allows(self, host: str) -> bool:
+        """Whether a request may call the server so: by a name of the loopback address, or the address it is bound to,
+        or any where it is bound to all, where the token alone guards. The port may be another: ssh forwards some."""
+        name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
+        return name in (*NAMES, self.host, f"[{self.host}]") or self.host in EVERY
+
+    def end(self) -> None:
+        """End the server and all connections that stay."""
+        self.shutdown()
+        self.server_close()
         with self.lock:
             for connection in self.open:
                 with contextlib.suppress(OSError):
@@ -132,9 +133,8 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     timeout = 30
 
     def do_GET(self) -> None:
-        viewer = self.server.viewer
         parsed = urllib.parse.urlsplit(self.path)
-        if not viewer.allows(self.headers.get("Host", "")):
+        if not self.server.allows(self.headers.get("Host", "")):
             self._refuse(403, "this address is not the viewer's own")
         elif parsed.path not in ("/", "/socket"):
             self._refuse(404, "nothing here")
@@ -143,13 +143,13 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         elif parsed.path == "/":
             self._send(200, viewer_page(), "text/html; charset=utf-8")
         else:
-            self._socket(viewer)
+            self._socket()
 
     def _has_token(self, query: str) -> bool:
         given = urllib.parse.parse_qs(query, max_num_fields=8).get("token", [""])[0]
-        return hmac.compare_digest(given.encode(), self.server.viewer.token.encode())
+        return hmac.compare_digest(given.encode(), self.server.token.encode())
 
-    def _socket(self, viewer: Viewer) -> None:
+    def _socket(self) -> None:
         origin = urllib.parse.urlsplit(self.headers.get("Origin", ""))
         if origin.scheme != "http" or origin.netloc != self.headers.get("Host"):
             self._refuse(403, "only the viewer's own page may connect")
@@ -173,7 +173,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             self.close_connection = True
             self.connection.settimeout(IDLE)
             self.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            serve(WebSocket(self.rfile, self.wfile, MOST_BYTES, TEXT_MOST), viewer.scene)
+            serve(WebSocket(self.rfile, self.wfile, MOST_BYTES, TEXT_MOST), self.server.scene)
         finally:
             self.server.leave(self.connection)
 
