@@ -21,8 +21,8 @@ COMMANDS = {
     "gavatar-tradeoff": "gavatar.cli.tradeoff",
     "gavatar-list": "gavatar.cli.list",
     "gavatar-play": "gavatar_runtime.cli.play",
-    "gavatar-convert": "gavatar_runtime.cli.convert",
     "gavatar-view": "gavatar_runtime.cli.view",
+    "gavatar-convert": "gavatar_runtime.cli.convert",
     "gavatar-motion": "gavatar_runtime.cli.motion_files",
 }
 FENCE = re.compile(r"^```(?:\w*)\n(.*?)^```", re.M | re.S)

@@ -17,6 +17,7 @@ import struct
 import threading
 import urllib.parse
 import weakref
+from time import perf_counter
 from typing import Any
 
 from ..errors import UserError, WrongValue
@@ -261,7 +262,9 @@ def _hello(scene: ViewedAvatar) -> dict[str, Any]:
 def _send_frame(connection: WebSocket, scene: ViewedAvatar, message: dict[str, Any]) -> None:
     wish = Wish.of(message)
     image, stages, count = scene.draw(wish)
+    begun = perf_counter()
     kind, data = exact(image) if message.get("exact") is True else encoded(image)
+    stages["picture"] = 1000 * (perf_counter() - begun)
     head = {
         "id": message["id"], "kind": kind, "width": image.shape[1], "height": image.shape[0], "gaussians": count,
         "stages": {name: round(ms, 2) for name, ms in stages.items()},
