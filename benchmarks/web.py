@@ -35,7 +35,7 @@ from gavatar_runtime.view.server import Viewer
 from gavatar_runtime.view.viewed_avatar import ViewedAvatar
 from gavatar_runtime.web.look import read_look
 
-FRAMES = 40  # of the page, timed one by one
+FRAMES = 8  # of the page, timed one by one: without a GPU the drawing between them takes seconds
 COUNTS = (10_000, 50_000, 100_000, 200_000)
 FRAMED = """(async () => {
   const rows = [], gl = a.gl, m = await a.setMotion("wave");
@@ -166,6 +166,7 @@ def main() -> None:
     p.add_argument("bundles", nargs="+", metavar="NAME.gavatar")
     p.add_argument("--sizes", type=int, nargs="+", default=[512, 1024], help="pixels of a side (default: 512 1024)")
     p.add_argument("--seconds", type=float, default=4.0, help="each rate is measured over (default: 4)")
+    p.add_argument("--page-only", action="store_true", help="leave out the viewer")
     p.add_argument("--figure", type=Path, metavar="FILE", help="a picture of the pages with the first bundle, alone")
     arguments = p.parse_args()
     if arguments.figure:
@@ -178,7 +179,8 @@ def main() -> None:
             f"\n## {bundle.manifest.name}: {bundle.manifest.gaussians:,} Gaussians; {os.cpu_count()} cores, load {load}"
         )
         jpeg_row(bundle, arguments.sizes)
-        viewer_rows(bundle, arguments.sizes, arguments.seconds)
+        if not arguments.page_only:
+            viewer_rows(bundle, arguments.sizes, arguments.seconds)
         page_rows(bundle, arguments.sizes[0])
 
 
