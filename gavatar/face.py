@@ -19,12 +19,12 @@ import tempfile
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 
 from gavatar_runtime.bundle import Manifest
-from gavatar_runtime.conversions import CONVERSIONS, Conversion, convert
+from gavatar_runtime.conversions import CONVERSIONS, convert
 from gavatar_runtime.errors import UserError, WrongValue
 from gavatar_runtime.notes import Note
 from gavatar_runtime.tiers import PLAYER_TIERS
@@ -189,7 +189,7 @@ class TrainedRun:
 
     def _exported_elsewhere(self, path: Path, tiers: str | Sequence[str], **how: Any) -> ExportedAvatar:
         """A file of another kind than a bundle, made of one with the tiers that can be played without networks."""
-        if path.suffix.lower() not in (s for c in CONVERSIONS for s in cast("type[Conversion]", c.factory).suffixes):
+        if path.suffix.lower() not in (s for c in CONVERSIONS for s in c.kind.suffixes):
             raise UserError(
                 f"{path}: a bundle's name ends in .gavatar, a web page's in .html (gavatar-list conversion)"
             )

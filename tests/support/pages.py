@@ -13,6 +13,7 @@ PAGES += sorted((ROOT / "gavatar/data").glob("*/README.md"))
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 COMMANDS = {
     "gavatar-train": "gavatar.cli.train",
+    "gavatar-make": "gavatar.cli.make",
     "gavatar-demo": "gavatar.cli.demo",
     "gavatar-make": "gavatar.cli.make",
     "gavatar-prepare": "gavatar.cli.prepare",
