@@ -7,15 +7,12 @@ import numpy as np
 from ...values.gaussians import Gaussians
 from .gaussian_files import GaussianFiles
 from .output import OUTPUTS
+from .splat_values import harmonics, log_axes, logit, opacities, turned_y_down, y_down
 
 FIELDS = (
     *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
     *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
 )
-HARMONIC = 0.28209479177387814  # the spherical harmonic of degree 0, 1 / (2 sqrt(pi))
-# The format stores logit and logarithm, which are infinite at the ends: clamped to what no pixel of 8 bits shows.
-OPACITY_EDGE = 1e-6  # from 0 and from 1
-SMALLEST = 1e-6  # metres
 
 
 @OUTPUTS.register("ply", summary="Gaussians as the .ply of 3D Gaussian Splatting, or one a frame: NAME/%06d.ply")
@@ -34,24 +31,12 @@ class PlyFile(GaussianFiles):
     def encode(self, gaussians: Gaussians) -> bytes:
         count = len(gaussians)
         table = np.zeros((count, len(FIELDS)), "<f4")
-        table[:, 0:3] = gaussians.means * (-1, -1, 1)
-        table[:, 6:9] = (gaussians.colors - 0.5) / HARMONIC
-        table[:, 9] = _logit(np.ones(count) if gaussians.opacities is None else gaussians.opacities)
-        scales = gaussians.scales[:, None] if gaussians.scales.ndim == 1 else gaussians.scales
-        table[:, 10:13] = np.log(np.maximum(scales, SMALLEST))
-        table[:, 13:17] = _turned(gaussians.quaternions) if gaussians.quaternions is not None else (1, 0, 0, 0)
+        table[:, 0:3] = y_down(gaussians.means)
+        table[:, 6:9] = harmonics(gaussians)
+        table[:, 9] = logit(opacities(gaussians))
+        table[:, 10:13] = log_axes(gaussians)
+        table[:, 13:17] = (1, 0, 0, 0) if gaussians.quaternions is None else turned_y_down(gaussians.quaternions)
         return _header(count) + table.tobytes()
-
-
-def _logit(opacities: np.ndarray) -> np.ndarray:
-    inner = np.clip(np.asarray(opacities, np.float64), OPACITY_EDGE, 1 - OPACITY_EDGE)
-    return np.log(inner / (1 - inner))
-
-
-def _turned(quaternions: np.ndarray) -> np.ndarray:
-    """(N, 4) wxyz, after half a turn about z: the product k q. (Round or axis-aligned Gaussians look the same.)"""
-    w, x, y, z = quaternions.T
-    return np.stack([-z, -y, x, w], -1)
 
 
 def _header(count: int) -> bytes:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plyfile import PlyData
+from splats import HALF_TURN_Z, Read, covariances, read_ply, some
 
 from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.errors import UserError
@@ -22,58 +23,15 @@ from gavatar_runtime.play.player import play_gaussians
 from gavatar_runtime.render.rasterizers.numpy import NumpyRasterizer
 from gavatar_runtime.values.gaussians import Gaussians
 
-HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about z: from y up to y down
-C0 = 0.5 / np.sqrt(np.pi)  # the spherical harmonic of degree 0
 ORDER = (
     *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
     *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
 )  # fmt: skip
 
 
-def some(count: int = 7, seed: int = 0, dtype=np.float32, **fields) -> Gaussians:
-    rng = np.random.default_rng(seed)
-    values = {
-        "means": rng.normal(0, 1, (count, 3)),
-        "scales": rng.uniform(0.001, 0.1, count),
-        "colors": rng.uniform(0, 1, (count, 3)),
-    } | fields
-    return Gaussians(**{name: None if v is None else np.asarray(v).astype(dtype) for name, v in values.items()})
-
-
-@dataclasses.dataclass
-class Read:
-    """float64: means (N, 3), scales (N, 3), colors (N, 3), opacities (N,), rotations (N, 3, 3)."""
-
-    means: np.ndarray
-    scales: np.ndarray
-    colors: np.ndarray
-    opacities: np.ndarray
-    rotations: np.ndarray
-
-
 def read(path: Path) -> Read:
-    """What 3DGS makes of a file (its `load_ply` and activations), turned back into a world whose y is up."""
-    vertices = PlyData.read(str(path))["vertex"]
-
-    def columns(*names: str) -> np.ndarray:
-        return np.stack([np.asarray(vertices[name], np.float64) for name in names], -1)
-
-    rotations = matrix_from_quaternion(columns("rot_0", "rot_1", "rot_2", "rot_3"))
-    return Read(
-        means=columns("x", "y", "z") @ HALF_TURN,
-        scales=np.exp(columns("scale_0", "scale_1", "scale_2")),
-        colors=0.5 + C0 * columns("f_dc_0", "f_dc_1", "f_dc_2"),
-        opacities=1 / (1 + np.exp(-columns("opacity")[:, 0])),
-        rotations=HALF_TURN @ rotations,
-    )
-
-
-def covariances(scales: np.ndarray, rotations: np.ndarray | None = None) -> np.ndarray:
-    """(N, 3, 3) of Gaussians with (N,) or (N, 3) scales."""
-    scales = np.asarray(scales, np.float64)
-    scales = np.repeat(scales[:, None], 3, 1) if scales.ndim == 1 else scales
-    L = scales[:, None, :] * (np.eye(3) if rotations is None else rotations)
-    return L @ np.swapaxes(L, 1, 2)
+    """What 3DGS makes of a file, turned back into a world whose y is up."""
+    return read_ply(path).turned(HALF_TURN_Z)
 
 
 def test_the_layout_is_that_of_the_authors_files(tmp_path):
