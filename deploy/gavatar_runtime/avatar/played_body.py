@@ -40,8 +40,10 @@ class PlayedBody:
     def fit(self, motion: Motion) -> tuple[Motion, tuple[str, ...]]:
         """The motion brought to this body's joints, and the names of what moves in it that the body lacks.
 
-        Raises WrongValue for a NaN or infinite pose, translation or expression.
+        Raises WrongValue for a motion without frames and for a NaN or infinite pose, translation or expression.
         """
+        if not len(motion):
+            raise WrongValue(f"motion '{motion.name}' has no frames")
         motion, ignored = fit_motion(
             motion, self.joint_names, self.rest_pose, hands=self.hands, num_expression=self.num_expression
         )

@@ -9,11 +9,14 @@ from pathlib import Path
 from ..errors import exit_cleanly, options_spelled, spelled
 from .settings import as_flags, parse_options
 
-DESCRIPTION = "Turn an avatar with motions into a file that plays elsewhere: a web page, a folder for a web server."
+DESCRIPTION = (
+    "Turn an avatar with motions into a file that plays elsewhere: a web page, a folder for a web server, a glTF file."
+)
 EPILOG = """examples
   gavatar-convert anna.gavatar anna.html                           one page, offline, with the motions turn and wave
   gavatar-convert anna.gavatar anna.html --motions wave,dance.npz
   gavatar-convert anna.gavatar site/ --gaussians 50000             page, gavatar.js and avatar.bin for a web server
+  gavatar-convert anna.gavatar anna.glb --motions wave,turn        glTF: splats with a skin and an animation a motion
 
 Which formats there are: gavatar-list conversion. Single frames and videos: gavatar-play.
 """
@@ -24,7 +27,7 @@ def parser() -> argparse.ArgumentParser:
         "gavatar-convert", description=DESCRIPTION, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     p.add_argument("avatar", metavar="NAME.gavatar", help="bundle that gavatar-export wrote, zipped or unpacked")
-    p.add_argument("out", metavar="PATH", help="X.html, folder/, or what else gavatar-list conversion names")
+    p.add_argument("out", metavar="PATH", help="X.html, X.glb, folder/, or what else gavatar-list conversion names")
     p.add_argument(
         "--motions", metavar="NAME,FILE", default=None, help="built-in motions and files, the first plays at the start "
         "(default: turn,wave)",

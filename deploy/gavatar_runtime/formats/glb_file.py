@@ -13,8 +13,8 @@ from ..version import __version__
 MAGIC, VERSION, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 ALIGNED = 4  # bytes: where a view of the buffer and each row of a vertex attribute begins
 VERTICES = 34962  # the target of a view that holds vertex attributes
-COMPONENTS = {"f4": 5126, "u1": 5121, "i1": 5120, "u2": 5123, "i2": 5122, "u4": 5125}
-KINDS = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
+COMPONENTS = {"f4": 5126, "u1": 5121, "u2": 5123}
+KINDS = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 
 
 class GlbFile:
@@ -30,36 +30,24 @@ class GlbFile:
         self.document.setdefault(kind, []).append(value)
         return len(self.document[kind]) - 1
 
-    def accessor(
-        self, array: np.ndarray, *, normalized: bool = False, vertices: bool = False, bounds: bool = False
-    ) -> int:
+    def accessor(self, array: np.ndarray, *, vertices: bool = False, bounds: bool = False) -> int:
         """The index of an accessor of its own view. array: (N, ...) with N from 1, of a type of COMPONENTS; matrices
-        (N, 4, 4) are given row by row. normalized: whole numbers stand for [0, 1] or [-1, 1]. vertices: each row
-        begins on four bytes, as vertex attributes must. bounds: also give the least and the largest, which the format
-        wants of positions and of times."""
+        (N, 4, 4) are given row by row. vertices: it is an attribute of vertices, whose rows the format wants to be of
+        whole fours of bytes. bounds: also give the least and the largest, which it wants of positions and of times."""
         kind = KINDS[array.shape[1:]]
         stored = np.ascontiguousarray(np.swapaxes(array, 1, 2) if kind == "MAT4" else array)
         stored = stored.astype(stored.dtype.newbyteorder("<"), copy=False)
-        rows = stored.reshape(len(stored), -1)
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": self._length}
-        if vertices:
-            view["target"] = VERTICES
-            width = rows.shape[1] * rows.itemsize
-            if spare := -width % ALIGNED:
-                rows = np.pad(rows.view(np.uint8).reshape(len(rows), width), ((0, 0), (0, spare)))
-                view["byteStride"] = width + spare
-        view["byteLength"] = rows.nbytes
-        self._append(rows.tobytes())
+        if vertices and stored[0].nbytes % ALIGNED:
+            raise ValueError(f"vertices of {stored[0].nbytes} bytes")
+        view = {"buffer": 0, "byteOffset": self._length, "byteLength": stored.nbytes}
         accessor: dict[str, Any] = {
-            "bufferView": self.add("bufferViews", view), "componentType": COMPONENTS[array.dtype.str[1:]],
-            "count": len(array), "type": kind,
+            "bufferView": self.add("bufferViews", view | ({"target": VERTICES} if vertices else {})),
+            "componentType": COMPONENTS[array.dtype.str[1:]], "count": len(array), "type": kind,
         }  # fmt: skip
-        if normalized:
-            accessor["normalized"] = True
         if bounds:
-            accessor["min"], accessor["max"] = (
-                np.atleast_1d(f(array, 0)).astype(float).tolist() for f in (np.min, np.max)
-            )
+            low, high = (np.atleast_1d(end(array, 0)).astype(float).tolist() for end in (np.min, np.max))
+            accessor |= {"min": low, "max": high}
+        self._append(stored.tobytes())
         return self.add("accessors", accessor)
 
     def _append(self, data: bytes) -> None:

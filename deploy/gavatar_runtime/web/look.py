@@ -67,12 +67,12 @@ class Look:
         )  # fmt: skip
 
 
-def read_look(avatar: Avatar, tier: str | None = None) -> Look:
+def read_look(avatar: Avatar, tier: str | None = None, player: str = "page") -> Look:
     """The look of an avatar with all Gaussians of its bundle; see `Look`.
 
     tier: one that is linear, None for the best of these that the bundle holds, or for the only look of an avatar that
-    has one for all poses. Raises WrongValue for another tier, and for a bundle whose look moves with the pose and that
-    holds none.
+    has one for all poses. player: what will play it, for notes. Raises WrongValue for another tier, and for a bundle
+    whose look moves with the pose and that holds none.
     """
     stored, known = stored_tiers(avatar.bundle), player_tiers()
     linear = [name for name in stored if name in known.having(linear=True)]
@@ -94,7 +94,7 @@ def read_look(avatar: Avatar, tier: str | None = None) -> Look:
         avatar.name, tier or played[0], points, colors, scales, point_spacing(surface).astype(np.float32),
         surface.joint_index, surface.joint_weight, avatar.joint_names, surface.parents, surface.joints,
         invert_rigid(surface.A_canonical)[:, :3], pose, avatar.pixel, None if residual is None else dict(residual),
-        _left_out(avatar),
+        _left_out(avatar, player),
     )  # fmt: skip
 
 
@@ -103,10 +103,10 @@ def _relaxed(avatar: Avatar) -> np.ndarray:
     return avatar.fit(Motion(pose, np.zeros((1, 3), np.float32), 1.0))[0].poses[0]
 
 
-def _left_out(avatar: Avatar) -> tuple[str, ...]:
+def _left_out(avatar: Avatar, player: str) -> tuple[str, ...]:
     notes = []
     if avatar.expression is not None:
-        notes.append("the page plays no facial expressions: the face keeps its look at rest")
+        notes.append(f"the {player} plays no facial expressions: the face keeps its look at rest")
     if POSE_BLENDSHAPES in avatar.bundle.manifest.members:
-        notes.append("the page leaves out the body's pose blendshapes, which move its skin by millimetres")
+        notes.append(f"the {player} leaves out the body's pose blendshapes, which move its skin by millimetres")
     return tuple(notes)

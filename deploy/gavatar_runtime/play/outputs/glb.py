@@ -40,8 +40,9 @@ def gaussian_primitive(file: GlbFile, gaussians: Gaussians, more: Mapping[str, i
     """The primitive of at least one Gaussian, whose arrays go into the file.
 
     POSITION; of the extension ROTATION (xyzw, of length 1), SCALE (standard deviations, linear), OPACITY (linear) and
-    SH_DEGREE_0_COEF_0, all float32. COLOR_0 for viewers that draw points: linear light, as glTF has it, 16 bits, with
-    the opacity. more: accessors of further attributes by name.
+    SH_DEGREE_0_COEF_0, all float32. COLOR_0 for viewers that draw points: linear light, as glTF has it, with the
+    opacity; float32 too, since some readers take whole numbers of 16 bits for bytes. more: accessors of further
+    attributes by name.
     """
     opacity = opacities(gaussians)
     quaternions = unit_quaternions(gaussians)[:, [1, 2, 3, 0]]
@@ -51,8 +52,7 @@ def gaussian_primitive(file: GlbFile, gaussians: Gaussians, more: Mapping[str, i
     splats["SH_DEGREE_0_COEF_0"] = harmonics(gaussians)
     for name, values in splats.items():
         attributes[f"{EXTENSION}:{name}"] = file.accessor(values.astype(np.float32), vertices=True)
-    shorts = np.rint(fallback * 65535).astype(np.uint16)
-    attributes["COLOR_0"] = file.accessor(shorts, normalized=True, vertices=True)
+    attributes["COLOR_0"] = file.accessor(fallback.astype(np.float32), vertices=True)
     file.document["extensionsUsed"] = [EXTENSION]
     return {"mode": POINTS, "attributes": attributes | dict(more or {}), "extensions": {EXTENSION: dict(NATURE)}}
 
