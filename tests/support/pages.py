@@ -25,6 +25,7 @@ COMMANDS = {
     "gavatar-view": "gavatar_runtime.cli.view",
     "gavatar-convert": "gavatar_runtime.cli.convert",
     "gavatar-motion": "gavatar_runtime.cli.motion_files",
+    "gavatar-convert": "gavatar_runtime.cli.convert",
 }
 FENCE = re.compile(r"^```(?:\w*)\n(.*?)^```", re.M | re.S)
 INDENTED = re.compile(r"(?:^    .*\n?)+", re.M)

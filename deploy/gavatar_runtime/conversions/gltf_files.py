@@ -12,6 +12,7 @@ from ..formats.files import atomic
 from ..formats.glb_file import GlbFile
 from ..geometry.rotations import quaternion_from_axis_angle
 from ..play.outputs.glb import gaussian_primitive
+from ..render.widening import as_filmed
 from ..values.gaussians import Gaussians
 from ..values.motion import Motion
 from ..web.look import Look, read_look
@@ -49,7 +50,7 @@ class SkinnedGlb(Conversion):
             part = slice(first, first + IN_A_SET)
             more[f"JOINTS_{first // IN_A_SET}"] = file.accessor(index[:, part], vertices=True)
             more[f"WEIGHTS_{first // IN_A_SET}"] = file.accessor(weight[:, part], vertices=True)
-        gaussians = Gaussians(look.points, look.scales, look.colors)
+        gaussians = as_filmed(Gaussians(look.points, look.scales, look.colors), look.pixel)
         mesh = file.add("meshes", {"name": look.name, "primitives": [gaussian_primitive(file, gaussians, more)]})
         shown = file.add("nodes", {"name": f"{look.name}_gaussians", "mesh": mesh, "skin": skin_of})
         root = file.document["skins"][skin_of]["skeleton"]

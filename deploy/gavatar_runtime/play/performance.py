@@ -217,7 +217,7 @@ def _images(cast: Cast, opened: Callable[[FrameFormat], Output[Any]], view: View
 
 def _gaussians(cast: Cast, opened: Callable[[FrameFormat], Output[Any]]) -> _Ready:
     (avatar, motion), *others = cast
-    frames = FrameFormat(motion.fps)
+    frames = FrameFormat(motion.fps, pixel=avatar.pixel)
     output = opened(frames)
     return _Ready(partial(play_gaussians, avatar, motion, output, beside=others), output, frames)
 

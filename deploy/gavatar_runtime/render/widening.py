@@ -30,4 +30,16 @@ def as_trained(gaussians: Gaussians, camera: Camera, pixel: float | None) -> Gau
     missing = float(LOW_PASS * (pixel**2 - (2 * depth / (camera.fx + camera.fy)) ** 2))
     if not (depth > 0 and missing > 0):  # written so that NaN changes nothing
         return gaussians
-    return dataclasses.replace(gaussians, scales=(gaussians.scales * gaussians.scales + missing) ** 0.5)
+    return _widened(gaussians, missing)
+
+
+def as_filmed(gaussians: Gaussians, pixel: float | None) -> Gaussians:
+    """The Gaussians as the training images showed them, for programs of others, which know nothing of those: with all
+    that drawing added there, so that they close up at any distance. pixel: as for `as_trained`."""
+    if pixel is None or not len(gaussians):
+        return gaussians
+    return _widened(gaussians, float(LOW_PASS * pixel**2))
+
+
+def _widened(gaussians: Gaussians, variance: float) -> Gaussians:
+    return dataclasses.replace(gaussians, scales=(gaussians.scales * gaussians.scales + variance) ** 0.5)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from gltf_reader import ReadGlb, read_glb
-from make_bundle import make_bundle, manifest, members, still
+from make_bundle import SCALE, make_bundle, manifest, members, still
 from tiered_members import write_tiered
 
 from gavatar_runtime.avatar.playing import Avatar
@@ -198,3 +198,9 @@ def test_by_the_command(static, tmp_path, capsys):
     assert ended.value.code == 0
     assert capsys.readouterr().out.endswith("MB, motions wave\n")
     assert list(read_glb((tmp_path / "a.glb").read_bytes()).animations()) == ["wave"]
+
+
+def test_splats_are_as_large_as_the_training_images_showed_them(tmp_path):
+    write_bundle(tmp_path / "b.gavatar", dataclasses.replace(manifest(9), training={"pixel_m": 0.009}), members(9))
+    scales = written(tmp_path / "b.gavatar", tmp_path, [wild(1)])[0].primitive()["KHR_gaussian_splatting:SCALE"]
+    np.testing.assert_allclose(scales, np.sqrt(SCALE**2 + 0.3 * 0.009**2), rtol=1e-6)  # float32

@@ -10,9 +10,18 @@ from typing import Any
 import numpy as np
 
 from ...errors import UserError
+from ...render.widening import as_filmed
 from ...values.gaussians import Gaussians
 from .frame_files import NumberedFiles, OneFile
 from .output import FrameFormat, GaussianOutput, suffix_of
+
+
+@dataclasses.dataclass
+class GaussianFileOptions:
+    """filmed: as large as the pixels of the training images showed them (`render.widening.as_filmed`); without, as they
+    were learned, which shows gaps to programs that draw finer pixels."""
+
+    filmed: bool = True
 
 
 class GaussianFiles(GaussianOutput):
@@ -25,6 +34,7 @@ class GaussianFiles(GaussianOutput):
         super().__init__(path)
         self._files = NumberedFiles(path) if suffix_of(path).startswith("%") else OneFile(path)
         self._left_out = 0
+        self._pixel = frames.pixel if getattr(options, "filmed", False) else None
 
     @abc.abstractmethod
     def encode(self, gaussians: Gaussians) -> bytes:
@@ -41,7 +51,7 @@ class GaussianFiles(GaussianOutput):
         sound = finite(gaussians)
         self._left_out += len(gaussians) - len(sound)
         try:
-            self._files.next().write_bytes(self.encode(sound))
+            self._files.next().write_bytes(self.encode(as_filmed(sound, self._pixel)))
         except OSError as error:
             raise UserError(f"{self.path} could not be written: {error.strerror or error}") from error
 

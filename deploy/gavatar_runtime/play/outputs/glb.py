@@ -8,7 +8,7 @@ import numpy as np
 
 from ...formats.glb_file import GlbFile
 from ...values.gaussians import Gaussians
-from .gaussian_files import GaussianFiles
+from .gaussian_files import GaussianFileOptions, GaussianFiles
 from .output import OUTPUTS
 from .splat_values import axes, harmonics, opacities, unit_quaternions
 
@@ -18,7 +18,11 @@ POINTS = 0  # the mode of a primitive
 NATURE = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
 
 
-@OUTPUTS.register("glb", summary="Gaussians as .glb with KHR_gaussian_splatting, or one a frame: NAME/%06d.glb")
+@OUTPUTS.register(
+    "glb",
+    config=GaussianFileOptions,
+    summary="Gaussians as .glb with KHR_gaussian_splatting, or one a frame: NAME/%06d.glb",
+)
 class GlbOutput(GaussianFiles):
     """One mesh of points in one node. Metres; y points up and z to the viewer, as our world has them.
 

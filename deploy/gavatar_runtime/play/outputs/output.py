@@ -32,12 +32,14 @@ Frame = TypeVar("Frame", np.ndarray, Gaussians)
 @dataclasses.dataclass(frozen=True)
 class FrameFormat:
     """What all frames have in common. fps: frames per second. width, height: pixels, 0 for an output of Gaussians.
-    background: sRGB in [0, 1] behind the person."""
+    background: sRGB in [0, 1] behind the person. pixel: metres of the person that a pixel of the training images
+    spanned, for an output of Gaussians, None where that is not known."""
 
     fps: float
     width: int = 0
     height: int = 0
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    pixel: float | None = None
 
 
 class Output(abc.ABC, Generic[Frame]):

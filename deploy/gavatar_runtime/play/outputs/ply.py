@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from ...values.gaussians import Gaussians
-from .gaussian_files import GaussianFiles
+from .gaussian_files import GaussianFileOptions, GaussianFiles
 from .output import OUTPUTS
 from .splat_values import harmonics, log_axes, logit, opacities, turned_y_down, y_down
 
@@ -15,7 +17,16 @@ FIELDS = (
 )
 
 
-@OUTPUTS.register("ply", summary="Gaussians as the .ply of 3D Gaussian Splatting, or one a frame: NAME/%06d.ply")
+@dataclasses.dataclass
+class PlyOptions(GaussianFileOptions):
+    """filmed: as in `GaussianFileOptions`; a .ply holds what was learned, as training could go on from it."""
+
+    filmed: bool = False
+
+
+@OUTPUTS.register(
+    "ply", config=PlyOptions, summary="Gaussians as the .ply of 3D Gaussian Splatting, or one a frame: NAME/%06d.ply"
+)
 class PlyFile(GaussianFiles):
     """Binary, little endian, float32, spherical harmonics of degree 0, in the order of the authors' own files (Kerbl et
     al. 2023, `save_ply`), some of whose readers go by it.

@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import UserError
 from ...formats.webp import LARGEST, lossless_webp
 from ...values.gaussians import Gaussians
-from .gaussian_files import GaussianFiles
+from .gaussian_files import GaussianFileOptions, GaussianFiles
 from .output import OUTPUTS
 from .splat import to_byte
 from .splat_values import harmonics, largest_dropped, log_axes, opacities, turned_y_down, unit_quaternions, y_down
@@ -23,7 +23,11 @@ FIRST_TAG = 252  # of the four that say which part of a quaternion is left out
 _TIME = (1980, 1, 1, 0, 0, 0)  # the same bytes for the same Gaussians
 
 
-@OUTPUTS.register("sog", summary="Gaussians as .sog of PlayCanvas (version 2), or one a frame: NAME/%06d.sog")
+@OUTPUTS.register(
+    "sog",
+    config=GaussianFileOptions,
+    summary="Gaussians as .sog of PlayCanvas (version 2), or one a frame: NAME/%06d.sog",
+)
 class SogFile(GaussianFiles):
     """meta.json and five images, a pixel a Gaussian, row by row.
 

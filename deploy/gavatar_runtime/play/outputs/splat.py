@@ -5,14 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from ...values.gaussians import Gaussians
-from .gaussian_files import GaussianFiles
+from .gaussian_files import GaussianFileOptions, GaussianFiles
 from .output import OUTPUTS
 from .splat_values import SMALLEST, axes, opacities, turned_y_down, unit_quaternions, y_down
 
 RECORD = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("rotation", "u1", 4)])
 
 
-@OUTPUTS.register("splat", summary="Gaussians as .splat, 32 bytes each, or one file a frame: NAME/%06d.splat")
+@OUTPUTS.register(
+    "splat",
+    config=GaussianFileOptions,
+    summary="Gaussians as .splat, 32 bytes each, or one file a frame: NAME/%06d.splat",
+)
 class SplatFile(GaussianFiles):
     """Little endian, without a header, as antimatter15/splat reads it.
 

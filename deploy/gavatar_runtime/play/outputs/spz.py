@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import UserError
 from ...values.gaussians import Gaussians
-from .gaussian_files import GaussianFiles
+from .gaussian_files import GaussianFileOptions, GaussianFiles
 from .output import OUTPUTS
 from .splat import to_byte
 from .splat_values import harmonics, largest_dropped, log_axes, opacities, unit_quaternions
@@ -21,7 +21,9 @@ MOST_OPAQUE = 254  # of 255 readers take the logit, which is infinite, and write
 COLOR_SCALE = 0.15  # bytes hold colours from -0.44 to 1.44
 
 
-@OUTPUTS.register("spz", summary="Gaussians as .spz of Niantic (version 3), or one a frame: NAME/%06d.spz")
+@OUTPUTS.register(
+    "spz", config=GaussianFileOptions, summary="Gaussians as .spz of Niantic (version 3), or one a frame: NAME/%06d.spz"
+)
 class SpzFile(GaussianFiles):
     """Version 3, spherical harmonics of degree 0. A 16-byte header, then one array after another.
 

@@ -54,7 +54,7 @@ def test_the_suffix_chooses(tmp_path, name, kind):
     [
         ("a.mp5", r"cannot write .*a\.mp5.*did you mean '\.mp4'"),
         ("a.plyy", r"did you mean '\.ply'"),
-        ("%03d.jpg", r"%03d\.jpg.*choose from: %d\.ply, %d\.png"),
+        ("%03d.jpg", r"%03d\.jpg.*choose from: %d\.glb, %d\.ply, %d\.png, %d\.sog"),
     ],
 )
 def test_a_suffix_that_nothing_writes_is_refused_with_the_choices(tmp_path, name, message):
@@ -143,7 +143,7 @@ def test_gaussians_are_saved_without_a_motion_where_an_output_takes_them(tmp_pat
     assert (tmp_path / "a.ply").read_bytes().startswith(b"ply\n")
     save_gaussians(tmp_path / "f" / "%02d.ply", one)
     assert [path.name for path in (tmp_path / "f").iterdir()] == ["00.ply"]
-    with pytest.raises(WrongValue, match=r"a\.png is an output of images, not of Gaussians: choose from: \.ply"):
+    with pytest.raises(WrongValue, match=r"a\.png is an output of images, not of Gaussians: choose from: \.glb, \.ply, \.sog"):
         save_gaussians(tmp_path / "a.png", one)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ply", "f"]
 
