@@ -1,6 +1,6 @@
 """How many bytes each format takes for a Gaussian of an avatar, in the middle of a wave.
 
-    python tools/splat_sizes.py NAME.gavatar
+python tools/splat_sizes.py NAME.gavatar
 """
 
 from __future__ import annotations

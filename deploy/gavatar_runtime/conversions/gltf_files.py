@@ -64,15 +64,15 @@ class SkinnedGlb(Conversion):
 
     def _look(self, request: Request) -> Look:
         """One look for all poses: what a skin can carry."""
-        if request.tier == "blendshape":
-            raise WrongValue("`tier=blendshape`: a glTF file holds one look for all poses: give baked, or leave it out")
         look = read_look(request.avatar, request.tier, "file")
         if request.gaussians is not None:
             look = look.thinned(request.gaussians)
         self.notes += look.notes
+        if look.residual is not None and request.tier is not None:
+            raise WrongValue(f"`tier={request.tier}` follows the pose, and a glTF file holds one look: leave it out")
         if look.residual is not None:
             self.notes.append("the file holds one look for all poses: what follows the pose is left out")
-            look = dataclasses.replace(look, residual=None, tier="baked")
+            look = dataclasses.replace(look, residual=None)
         return look
 
     def _influences(self, look: Look) -> tuple[np.ndarray, np.ndarray]:

@@ -173,7 +173,7 @@ def test_one_gaussian(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"tier": "blendshape"}, "a glTF file holds one look for all poses: give baked"),
+        ({"tier": "blendshape"}, "`tier=blendshape` follows the pose, and a glTF file holds one look"),
         ({"tier": "full"}, "`tier=full`: without its networks blendshape or baked of this bundle can be played"),
         ({"motions": [still(0)]}, "motion 'still' has no frames"),
         ({"gaussians": 0}, "`gaussians=0`: give a whole number from 1 up"),

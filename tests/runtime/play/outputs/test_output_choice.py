@@ -143,7 +143,9 @@ def test_gaussians_are_saved_without_a_motion_where_an_output_takes_them(tmp_pat
     assert (tmp_path / "a.ply").read_bytes().startswith(b"ply\n")
     save_gaussians(tmp_path / "f" / "%02d.ply", one)
     assert [path.name for path in (tmp_path / "f").iterdir()] == ["00.ply"]
-    with pytest.raises(WrongValue, match=r"a\.png is an output of images, not of Gaussians: choose from: \.glb, \.ply, \.sog"):
+    with pytest.raises(
+        WrongValue, match=r"a\.png is an output of images, not of Gaussians: choose from: \.glb, \.ply, \.sog"
+    ):
         save_gaussians(tmp_path / "a.png", one)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ply", "f"]
 
