@@ -34,7 +34,8 @@ class GaussianFiles(GaussianOutput):
         super().__init__(path)
         self._files = NumberedFiles(path) if suffix_of(path).startswith("%") else OneFile(path)
         self._left_out = 0
-        self._pixel = frames.pixel if getattr(options, "filmed", False) else None
+        filmed = isinstance(options, GaussianFileOptions) and options.filmed  # a plugin's may have others
+        self._pixel = frames.pixel if filmed else None
 
     @abc.abstractmethod
     def encode(self, gaussians: Gaussians) -> bytes:
