@@ -11,15 +11,15 @@ ENTRY_POINT_GROUP = "gavatar.plugins"
 
 
 @functools.cache
-def load_entry_points() -> None:
-    """Import what any installed package registers under the group `gavatar.plugins`, once.
+def load_entry_points(group: str = ENTRY_POINT_GROUP) -> None:
+    """Import what any installed package registers under the group, once.
 
     Called when a name is unknown, never before: plugins may import anything. One that fails is warned of by name with
     its cause, and the rest go on.
     """
     import importlib.metadata
 
-    for point in importlib.metadata.entry_points(group=ENTRY_POINT_GROUP):
+    for point in importlib.metadata.entry_points(group=group):
         try:
             point.load()
         except Exception as error:  # whatever a plugin does at import must not take the others down

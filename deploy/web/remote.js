@@ -1,5 +1,6 @@
 // What the page draws with where a server does: frames over a WebSocket, each asked for when the last was shown.
 import { Controls, playCommand } from "./controls.js";
+import { Drive } from "./drive.js";
 
 const ENDED = "the connection to gavatar-view has ended: start it again and open the address that it prints";
 const ASKED = 2; // frames under way: one travels while the next is drawn
@@ -81,7 +82,8 @@ export class RemoteEngine {
   async frame(data) {
     const length = new DataView(data).getUint32(0, true);
     const head = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
-    const bytes = new Uint8Array(data, 4 + length);
+    const beside = head.live?.bytes ?? 0; // a picture of who drives the avatar comes after it
+    const bytes = new Uint8Array(data, 4 + length, data.byteLength - 4 - length - beside);
     const waiting = this.answers.get(head.id);
     this.answers.delete(head.id);
     try {
@@ -89,6 +91,7 @@ export class RemoteEngine {
       if (head.id > this.last) { // decoding may end in another order
         this.last = head.id;
         this.show(head, picture);
+        if (head.live) this.onlive?.(head.live, new Uint8Array(data, data.byteLength - beside));
       }
       waiting?.resolve(head);
     } catch (error) {
@@ -137,7 +140,8 @@ function pixels({ width, height }, bytes) {
 export async function openViewer() {
   const find = (name) => document.querySelector(`[data-part="${name}"]`);
   const token = new URLSearchParams(location.search).get("token");
-  const engine = new RemoteEngine(find("canvas"), `ws://${location.host}/socket?token=${encodeURIComponent(token)}`);
+  const address = `ws://${location.host}/socket?token=${encodeURIComponent(token)}`;
+  const engine = new RemoteEngine(find("canvas"), address);
   const tell = (error) => {
     const line = document.createElement("p");
     line.className = "wrong";
@@ -148,6 +152,7 @@ export async function openViewer() {
   try {
     await engine.open();
     window.controls = new Controls(engine);
+    if (engine.info.drive) window.drive = new Drive(engine, window.controls, () => new RemoteEngine(document.createElement("canvas"), address).open());
     await window.controls.play(engine.info.motions[0]);
   } catch (error) {
     tell(error);

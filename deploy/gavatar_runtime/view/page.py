@@ -7,7 +7,7 @@ import functools
 from ..motions import MOTIONS
 from ..web.page import CONTROLS, page, script
 
-VIEWER = ("pose.js", "motion.js", *CONTROLS, "remote.js")
+VIEWER = ("pose.js", "motion.js", *CONTROLS, "drive.js", "remote.js")
 
 
 @functools.cache

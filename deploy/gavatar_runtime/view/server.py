@@ -21,6 +21,7 @@ from time import perf_counter
 from typing import Any
 
 from ..errors import UserError, WrongValue
+from .drive import LIVE
 from .frame_encoding import encoded, exact
 from .page import viewer_page
 from .viewed_avatar import MOST, ViewedAvatar, Wish
@@ -74,7 +75,7 @@ class Viewer:
         """In a notebook: the page in a frame."""
         return (
             f'<iframe src="{self.address}" width="100%" height="640" style="border: 0" '
-            'allow="clipboard-write; fullscreen"></iframe>'
+            'allow="clipboard-write; fullscreen; camera"></iframe>'
         )
 
 
@@ -256,25 +257,36 @@ def _hello(scene: ViewedAvatar) -> dict[str, Any]:
     return {
         "name": bundle.manifest.name, "path": str(bundle.path), "gaussians": bundle.manifest.gaussians,
         "tiers": scene.tiers, "tier": scene.tier, "motions": scene.motion_names, "most": MOST,
+        "drive": None if scene.drive is None else scene.drive.told(),
     }  # fmt: skip
 
 
 def _send_frame(connection: WebSocket, scene: ViewedAvatar, message: dict[str, Any]) -> None:
     wish = Wish.of(message)
-    image, stages, count = scene.draw(wish)
+    live, beside = None, b""
+    if scene.drive is not None and wish.motion == LIVE:
+        shown = scene.drive.next(connection)
+        pose, trans = scene.drive.rest if shown is None else (shown.pose, shown.trans)
+        image, stages, count = scene.draw_pose(wish, pose, trans)
+        stages = stages if shown is None else {"follow": 1000 * shown.seconds, **stages}
+        live, beside = scene.drive.beside(shown)
+    else:
+        image, stages, count = scene.draw(wish)
     begun = perf_counter()
     kind, data = exact(image) if message.get("exact") is True else encoded(image)
     stages["picture"] = 1000 * (perf_counter() - begun)
     head = {
         "id": message["id"], "kind": kind, "width": image.shape[1], "height": image.shape[0], "gaussians": count,
-        "stages": {name: round(ms, 2) for name, ms in stages.items()},
+        "stages": {name: round(ms, 2) for name, ms in stages.items()}, **({} if live is None else {"live": live}),
     }  # fmt: skip
     text = json.dumps(head).encode()
-    connection.send_bytes(struct.pack("<I", len(text)), text, data)
+    connection.send_bytes(struct.pack("<I", len(text)), text, data, beside)
 
 
-def _take_file(connection: WebSocket, scene: ViewedAvatar, data: bytes) -> None:
-    """A motion file: the length of a header as four bytes, the header {id, name} and the file."""
+def _take_file(connection: WebSocket, scene: Scene, data: bytes) -> None:
+    """The length of a header as four bytes, the header, and a motion file, {id, name}, or a picture of the page's
+    camera, {id, do: "camera"}."""
+    begun = perf_counter()
     length = int.from_bytes(data[:4], "little")
     if len(data) < 4 or length > 4096 or 4 + length > len(data):
         raise _Malformed("no file")
@@ -283,6 +295,12 @@ def _take_file(connection: WebSocket, scene: ViewedAvatar, data: bytes) -> None:
     except UnicodeDecodeError:
         raise _Malformed("no file") from None
     try:
+        if head.get("do") == "camera":
+            if scene.drive is None:
+                raise WrongValue("this viewer cannot be driven by a camera")
+            scene.drive.take(connection, data[4 + length :], head["id"])
+            connection.send_text(json.dumps({"id": head["id"]}))
+            return
         if not isinstance(head.get("name"), str):
             raise WrongValue("the file has no name")
         name, notes = scene.add_file(head["name"], data[4 + length :])

@@ -25,6 +25,7 @@ from ..render.renderer import Renderer
 from ..tiers import stored_tiers
 from ..values.camera import Camera
 from ..values.motion import Motion
+from .drive import LIVE, Drive
 
 MOST = 2048  # pixels of a side that a page may ask for
 KEPT = 3  # avatars at a tier and a level of detail that stay open
@@ -82,6 +83,7 @@ class ViewedAvatar:
         self.body = Avatar(bundle, tier=None)
         self.tiers = stored_tiers(bundle)
         self.tier = self._known(tier or self.tiers[0])
+        self.drive: Drive | None = None  # what a camera does with it
         self.lock = threading.RLock()
         self._motions: dict[str, Motion] = {}
         self._given: dict[str, str | Path] = {}
@@ -94,7 +96,8 @@ class ViewedAvatar:
     @property
     def motion_names(self) -> list[str]:
         """Of all motions that can be played, those given first."""
-        return list(self._given)
+        live = [LIVE] if self.drive is not None and self.drive.source is not None else []
+        return [*live, *self._given]
 
     def add(self, motion: str | Path | Motion) -> tuple[str, tuple[str, ...]]:
         """Read a motion and keep it under a name of its own; that name, and what there is to note."""
@@ -135,7 +138,8 @@ class ViewedAvatar:
 
     def described(self, name: str) -> dict[str, Any]:
         """What a page wants to know of a motion: name, fps, count of frames, and where the person is in it."""
-        motion = self.motion(name)
+        live = self.drive is not None and name == LIVE
+        motion = self.drive.extent() if live else self.motion(name)
         points = body_points(self.body, motion)
         points = points[:: max(1, len(points) // BODY_POINTS)]
         low, high = points.min(0), points.max(0)
@@ -143,13 +147,17 @@ class ViewedAvatar:
             "points": np.round(points, 4).tolist(), "low": low.tolist(), "high": high.tolist(),
             "center": ((low + high) / 2).tolist(), "facing": facing(motion),
         }  # fmt: skip
-        return {"name": name, "fps": motion.fps, "count": len(motion), "extent": extent}
+        return {"name": name, "fps": motion.fps, "count": 1 if live else len(motion), "extent": extent}
 
     def draw(self, wish: Wish) -> tuple[np.ndarray, dict[str, float], int]:
         """(H, W, 3) uint8, milliseconds of each stage, and how many Gaussians were drawn."""
-        motion = self.motion(wish.motion)
+        return self.draw_pose(wish, *self.motion(wish.motion).at_time(wish.time))
+
+    def draw_pose(
+        self, wish: Wish, pose: np.ndarray, trans: np.ndarray, expression: np.ndarray | None = None
+    ) -> tuple[np.ndarray, dict[str, float], int]:
+        """`draw` in a pose of the body instead of one of a motion."""
         start = perf_counter()
-        pose, trans, expression = motion.at_time(wish.time)
         with self.lock:
             renderer = self._renderer(wish.tier, wish.gaussians)
             gaussians = renderer.gaussians(pose, trans, expression, camera=wish.camera)
