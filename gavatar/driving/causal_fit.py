@@ -135,7 +135,9 @@ class CausalFit:
     def _from_landmarks(self, space: np.ndarray) -> np.ndarray:
         """(22, 3, 3) rotations read off the directions of the trunk and of each limb, without twist."""
         rotations = matrix_from_axis_angle(np.concatenate([np.zeros((1, 3)), self._usual]))
-        rotations[0] = torso_frames(space) @ torso_frames(self.mean.points).T
+        trunk = torso_frames(space)
+        if np.linalg.det(trunk) > 0.5:  # else its points lie in one place or on a line
+            rotations[0] = trunk @ torso_frames(self.mean.points).T
         points = self.skeleton.points
         for j, a, b in self._limbs:
             R = rotations[0]
@@ -245,7 +247,7 @@ class _Seen:
         rhs = w[:, None] * (local[:, :2] - uv * local[:, 2:])
         trans = np.linalg.lstsq(rows.reshape(-1, 3), rhs.reshape(-1), rcond=None)[0]
         depth = R[2] @ trans
-        return trans if depth > 0.3 else -3.0 * R[2]  # nearly nothing seen: three metres away
+        return trans if depth > 0.3 else 3.0 * R[2]  # nearly nothing seen: three metres away
 
     def image_rows(self, points: np.ndarray, J: np.ndarray, trans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rows (66, N + 3) and what they miss (66,): pixels as standard deviations."""
