@@ -283,10 +283,9 @@ def _send_frame(connection: WebSocket, scene: ViewedAvatar, message: dict[str, A
     connection.send_bytes(struct.pack("<I", len(text)), text, data, beside)
 
 
-def _take_file(connection: WebSocket, scene: Scene, data: bytes) -> None:
+def _take_file(connection: WebSocket, scene: ViewedAvatar, data: bytes) -> None:
     """The length of a header as four bytes, the header, and a motion file, {id, name}, or a picture of the page's
     camera, {id, do: "camera"}."""
-    begun = perf_counter()
     length = int.from_bytes(data[:4], "little")
     if len(data) < 4 or length > 4096 or 4 + length > len(data):
         raise _Malformed("no file")

@@ -30,7 +30,7 @@ def skeleton(data):
 def before_the_camera(data, frames, turn=1.0, seed=0):
     """A known person three and a half metres before the camera that the fit assumes."""
     truth = plausible_motion(data, frames, turn, seed)
-    trans = truth.trans + [0, 0, -3.5]
+    trans = truth.trans + np.array([0, 0, -3.5])
     return truth_of(data, truth.poses, trans, 0 * truth.betas)
 
 
@@ -62,7 +62,8 @@ def test_known_poses_are_found(data, skeleton):
             cosine = (mine * true).sum(-1) / np.linalg.norm(mine, axis=-1) / np.linalg.norm(true, axis=-1)
             assert np.degrees(np.arccos(np.clip(cosine, -1, 1)))[5:].mean() < 5, name
     place = np.stack([f.joints[0] for f in found])[5:] - truth.joints[5:, 0]
-    assert np.abs(place[:, :2]).max() < 0.02 and np.abs(place[:, 2]).max() < 0.04 * 3.5  # depth is the size's
+    assert np.abs(place[:, :2]).max() < 0.02
+    assert np.abs(place[:, 2]).max() < 0.04 * 3.5
 
 
 def test_noise_of_a_network(data, skeleton):
@@ -81,7 +82,8 @@ def test_nothing_later_changes_what_was(data, skeleton):
     marks = seen_by(guess_camera(*SIZE), before_the_camera(data, 12))
     whole, part = fitted(skeleton, marks), fitted(skeleton, marks[:6])
     for a, b in zip(whole[:6], part, strict=True):
-        assert np.array_equal(a.rotations, b.rotations) and np.array_equal(a.trans, b.trans)
+        assert np.array_equal(a.rotations, b.rotations)
+        assert np.array_equal(a.trans, b.trans)
 
 
 @pytest.mark.parametrize("depth", [False, True])
@@ -118,7 +120,8 @@ def test_bones_become_those_of_the_person(data, skeleton):
     assert mine == pytest.approx(child.lengths(child.points), rel=0.05)
     for wild in (np.zeros(len(MEASURED)), np.full(len(MEASURED), 9.0)):
         grown = skeleton.scaled(wild).lengths(skeleton.scaled(wild).points) / skeleton.lengths(skeleton.points)
-        assert (grown > SHORTEST - 0.1).all() and (grown < LONGEST + 0.1).all()
+        assert (grown > SHORTEST - 0.1).all()
+        assert (grown < LONGEST + 0.1).all()
 
 
 def test_lengths_never_seen_stay_those_of_the_mean(data, skeleton):
@@ -148,7 +151,8 @@ def test_all_points_in_one_place_or_unseen(skeleton):
         fit = CausalFit(skeleton)
         for t in range(3):
             found = fit(np.full((33, 2), 200.0), np.full(33, visibility), np.zeros((33, 3)), SIZE, t / RATE)
-            assert np.isfinite(found.rotations).all() and np.isfinite(found.trans).all()
+            assert np.isfinite(found.rotations).all()
+            assert np.isfinite(found.trans).all()
             assert np.abs(found.rotations @ np.swapaxes(found.rotations, -1, -2) - np.eye(3)).max() < 1e-6
 
 
@@ -159,6 +163,9 @@ def test_change_of_angles_is_that_of_differences(angle):
     step = 1e-5
     columns = []
     for axis in np.eye(3):
-        sides = [axis_angle_from_matrix(matrix_from_axis_angle(start) @ matrix_from_axis_angle(s * axis)) for s in (step, -step)]
+        sides = [
+            axis_angle_from_matrix(matrix_from_axis_angle(start) @ matrix_from_axis_angle(s * axis))
+            for s in (step, -step)
+        ]
         columns.append((sides[0] - sides[1]) / (2 * step))
     assert _change_of_angles(start[None])[0] == pytest.approx(np.stack(columns, -1), abs=1e-5)

@@ -33,7 +33,9 @@ def test_a_person_stands_on_the_floor(follower, picture):
     follower.reset()
     for k in range(3):
         seen = follower(picture, k / 30)
-    assert seen.pose.shape == (22, 3) and seen.points.shape == (33, 2) and 0.6 < seen.leg_length < 1.1
+    assert seen.pose.shape == (22, 3)
+    assert seen.points.shape == (33, 2)
+    assert 0.6 < seen.leg_length < 1.1
     assert seen.points[0, 1] < seen.points[23, 1] < seen.points[27, 1], "nose, hip, ankle from the top"
     assert np.abs(seen.trans).max() < 0.15
     assert np.abs(seen.pose[0]).max() < 0.6, "faces the camera"
@@ -50,7 +52,8 @@ def test_somebody_leaves_and_comes_back(follower, picture):
     follower.reset()
     empty = np.full_like(picture, 255)
     assert follower(picture, 0.0) is not None
-    assert follower(empty, 0.03) is None and follower(empty, 0.06) is None
+    assert follower(empty, 0.03) is None
+    assert follower(empty, 0.06) is None
     assert follower(picture, 0.07) is None, "not looked for so soon"
     assert follower(picture, 0.07 + 2 * LOOK) is not None
 
@@ -63,7 +66,8 @@ def test_another_size_is_another_camera(follower, picture):
 
 def test_the_registered_driver(picture):
     driver = build_driver()
-    assert driver(picture, 0.0) is not None and driver.lines
+    assert driver(picture, 0.0) is not None
+    assert driver.lines
     driver.reset()
     assert driver(np.zeros_like(picture), 0.0) is None
 

@@ -17,7 +17,8 @@ def jpeg(height=30, width=40, seed=0) -> bytes:
 
 
 def test_a_picture():
-    assert jpeg_size(jpeg()) == (40, 30) and decoded(jpeg()).shape == (30, 40, 3)
+    assert jpeg_size(jpeg()) == (40, 30)
+    assert decoded(jpeg()).shape == (30, 40, 3)
     assert decoded(jpeg(1, 1)).shape == (1, 1, 3)
 
 
@@ -31,14 +32,14 @@ def declared(width: int, height: int) -> bytes:
 
 @pytest.mark.parametrize(
     "data",
-    [b"", b"\xff", b"\xff\xd8", b"\xff\xd8\xff", b"\xff\xd8\xff\xc0\x00\x11\x08", b"GIF89a", b"\xff\xd8" + b"\xff" * 999,
-     b"\xff\xd8\xff\xe0\x00\x00" * 9, jpeg()[:40], declared(65535, 65535), declared(2049, 10), declared(0, 10),
-     b"\x89PNG\r\n\x1a\n" + bytes(100), b"\xff\xd8" + bytes(MOST_BYTES)],
+    [b"", b"\xff", b"\xff\xd8", b"\xff\xd8\xff", b"\xff\xd8\xff\xc0\x00\x11\x08", b"GIF89a",
+     b"\xff\xd8" + b"\xff" * 999, b"\xff\xd8\xff\xe0\x00\x00" * 9, jpeg()[:40], declared(65535, 65535), declared(2049, 10), declared(0, 10),     b"\x89PNG\r\n\x1a\n" + bytes(100), b"\xff\xd8" + bytes(MOST_BYTES)],
 )  # fmt: skip
 def test_what_is_no_picture_is_one_sentence(data):
     with pytest.raises(WrongValue) as caught:
         decoded(data)
-    assert "\n" not in str(caught.value) and str(caught.value).startswith("the camera's picture")
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith("the camera's picture")
 
 
 def test_damage_anywhere_is_a_picture_or_a_sentence():
@@ -52,4 +53,6 @@ def test_damage_anywhere_is_a_picture_or_a_sentence():
             image = decoded(bytes(data))
         except WrongValue:
             continue
-        assert image.dtype == np.uint8 and image.ndim == 3 and max(image.shape) <= 2048
+        assert image.dtype == np.uint8
+        assert image.ndim == 3
+        assert max(image.shape) <= 2048

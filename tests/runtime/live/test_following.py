@@ -30,8 +30,10 @@ def steady(body, people, angle=0.6):
 
 def test_one_picture(body):
     pose, trans, state = steady(body, [True])[0]
-    assert state == "following" and pose.shape == (52, 3)
-    assert pose[16] == pytest.approx([0, 0, 0.6]) and np.array_equal(trans, np.zeros(3))
+    assert state == "following"
+    assert pose.shape == (52, 3)
+    assert pose[16] == pytest.approx([0, 0, 0.6])
+    assert np.array_equal(trans, np.zeros(3))
 
 
 def test_nobody_from_the_start_is_idle(body):
@@ -47,14 +49,16 @@ def test_who_is_gone_is_held_then_relaxes_and_comes_back(body):
     shown = steady(body, [True] * 10 + [False] * gone + [True] * 30)
     states = [state for *_, state in shown]
     held = [k for k, state in enumerate(states) if state == "holding"]
-    assert held[0] == 10 and len(held) == pytest.approx(HOLD * RATE, abs=2)
+    assert held[0] == 10
+    assert len(held) == pytest.approx(HOLD * RATE, abs=2)
     for k in held:
         assert shown[k][0][16, 2] == pytest.approx(0.6, abs=1e-6)
     angles = np.array([pose[16, 2] for pose, *_ in shown])
     idle = relaxed_pose()[16, 2]
     assert angles[9 + gone] == pytest.approx(idle, abs=0.15)  # an idle motion may breathe
     assert np.abs(np.diff(angles[:-31])).max() < 2.5 * (0.6 - idle) / (RELAX * RATE)  # no jump
-    assert states[-1] == "following" and angles[-1] == pytest.approx(0.6, abs=1e-3)
+    assert states[-1] == "following"
+    assert angles[-1] == pytest.approx(0.6, abs=1e-3)
 
 
 def test_nan_of_a_driver_is_refused_by_the_body(body):
@@ -64,7 +68,8 @@ def test_nan_of_a_driver_is_refused_by_the_body(body):
         end = time.monotonic() + 5
         while not following.ended and time.monotonic() < end:
             time.sleep(0.01)
-        assert "NaN" in following.ended and following.newest() is None
+        assert "NaN" in following.ended
+        assert following.newest() is None
 
 
 class Running:
@@ -81,7 +86,8 @@ class Running:
 
 def test_pictures_that_are_given(body):
     with Running(body, Told()) as following:
-        assert following.newest() is None and following.newest(0, 0.01) is None
+        assert following.newest() is None
+        assert following.newest(0, 0.01) is None
         for k in range(3):
             assert following.give(np.full((4, 6, 3), k, np.uint8), tag=10 + k)
             shown = following.newest(k, 5)
@@ -113,7 +119,9 @@ def test_a_clip_begins_again_and_the_person_anew(body):
     told, clip = Told(), Clip(True)
     with Running(body, told, clip) as following:
         assert following.newest(7, 5).number >= 8
-        assert following.rounds > 1 and told.resets >= 1 and not following.ended
+        assert following.rounds > 1
+        assert told.resets >= 1
+        assert not following.ended
     assert clip.closed
 
 
@@ -121,7 +129,8 @@ def test_a_camera_that_ends_says_so(body):
     clip = Clip(False)
     with Running(body, Told(), clip) as following:
         following._thread.join(5)
-        assert following.ended == "clip gives no more pictures" and following.newest().number == 3
+        assert following.ended == "clip gives no more pictures"
+        assert following.newest().number == 3
     assert clip.closed
 
 

@@ -13,7 +13,9 @@ from gavatar_runtime.errors import MissingFile, UserError
 from gavatar_runtime.live.sources import Source
 
 cv2 = pytest.importorskip("cv2", reason="reads cameras and clips")
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read once, by whatever opens a video first: here the tests' writer
+os.environ.setdefault(
+    "OPENCV_FFMPEG_LOGLEVEL", "-8"
+)  # read once, by whatever opens a video first: here the tests' writer
 
 
 @pytest.fixture(scope="module")
@@ -39,9 +41,11 @@ def test_a_clip_comes_as_fast_as_it_is_shown(clip):
     start = perf_counter()
     found = read_all(source)
     assert perf_counter() - start >= 9 / 50 - 0.001
-    assert source.name == "clip.avi" and found[0] == (0, 0.0)
+    assert source.name == "clip.avi"
+    assert found[0] == (0, 0.0)
     numbers = [number for number, _ in found]
-    assert numbers == sorted(set(numbers)) and len(numbers) + source.skipped == 10
+    assert numbers == sorted(set(numbers))
+    assert len(numbers) + source.skipped == 10
     for number, time in found:
         assert time == pytest.approx(number / 50)
     source.close()
@@ -52,7 +56,8 @@ def test_overdue_frames_are_left_out(clip):
     source.read()
     source._start -= 0.1  # five frames late
     image, time = source.read()
-    assert round(image.mean() / 20) >= 5 and time == pytest.approx(round(image.mean() / 20) / 50)
+    assert round(image.mean() / 20) >= 5
+    assert time == pytest.approx(round(image.mean() / 20) / 50)
     assert source.skipped >= 4
     source.close()
 
@@ -60,7 +65,8 @@ def test_overdue_frames_are_left_out(clip):
 def test_a_clip_begins_again(clip):
     source = Source(str(clip))
     read_all(source)
-    assert source.again() and source.read()[0].mean() < 5
+    assert source.again()
+    assert source.read()[0].mean() < 5
     source.close()
 
 
@@ -78,9 +84,10 @@ def test_one_frame(tmp_path):
 def test_no_video(tmp_path, data, capfd):
     path = tmp_path / "notes.mp4"
     path.write_bytes(data)
-    with pytest.raises(UserError, match="notes.mp4 cannot be read as a video") as caught:
+    with pytest.raises(UserError, match=r"notes\.mp4 cannot be read as a video") as caught:
         Source(str(path))
-    assert "\n" not in str(caught.value) and capfd.readouterr() == ("", "")
+    assert "\n" not in str(caught.value)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_no_file_and_no_camera(tmp_path, capfd):

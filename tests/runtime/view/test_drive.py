@@ -14,8 +14,8 @@ from gavatar_runtime.errors import UserError, WrongValue
 from gavatar_runtime.live import drivers
 from gavatar_runtime.view import drive as module
 from gavatar_runtime.view.drive import LIVE, Drive
-from gavatar_runtime.view.scene import Scene
 from gavatar_runtime.view.server import serve
+from gavatar_runtime.view.viewed_avatar import ViewedAvatar
 from gavatar_runtime.view.websocket import Closed
 
 cv2 = pytest.importorskip("cv2", reason="writes the pictures")
@@ -72,7 +72,7 @@ class Clip:
 
 @pytest.fixture
 def scene(static):
-    made = Scene(read_bundle(static))
+    made = ViewedAvatar(read_bundle(static))
     yield made
     if made.drive is not None:
         made.drive.close()
@@ -87,7 +87,8 @@ def talk(scene, *messages) -> list:
 
 def test_a_viewer_without_it_tells_nothing_of_it(scene):
     hello, refused = talk(scene, said(do="hello"), sent(JPEG))
-    assert hello["drive"] is None and LIVE not in hello["motions"]
+    assert hello["drive"] is None
+    assert LIVE not in hello["motions"]
     assert refused == {"id": 7, "error": "this viewer cannot be driven by a camera"}
 
 
@@ -96,14 +97,19 @@ def test_a_clip_drives(scene):
     hello, motion, (head, data), refused = talk(
         scene, said(do="hello"), said(do="motion", name=LIVE), said(**WISH), sent(JPEG)
     )
-    assert hello["drive"] == {"motion": LIVE, "source": "clip.mp4", "camera": False} and hello["motions"][0] == LIVE
-    assert motion["count"] == 1 and motion["extent"]["high"][1] > motion["extent"]["low"][1]
+    assert hello["drive"] == {"motion": LIVE, "source": "clip.mp4", "camera": False}
+    assert hello["motions"][0] == LIVE
+    assert motion["count"] == 1
+    assert motion["extent"]["high"][1] > motion["extent"]["low"][1]
     live = head["live"]
-    assert live["state"] == "following" and live["points"][0] == pytest.approx([1 / 640, 2 / 480, 1.0], abs=1e-4)
+    assert live["state"] == "following"
+    assert live["points"][0] == pytest.approx([1 / 640, 2 / 480, 1.0], abs=1e-4)
     picture = cv2.imdecode(np.frombuffer(data[len(data) - live["bytes"] :], np.uint8), cv2.IMREAD_COLOR)
-    assert picture.shape == (240, 320, 3) and abs(picture.mean() - 30) < 3
+    assert picture.shape == (240, 320, 3)
+    assert abs(picture.mean() - 30) < 3
     avatar = cv2.imdecode(np.frombuffer(data[: len(data) - live["bytes"]], np.uint8), cv2.IMREAD_COLOR)
-    assert avatar.shape == (48, 64, 3) and head["stages"]["follow"] >= 0
+    assert avatar.shape == (48, 64, 3)
+    assert head["stages"]["follow"] >= 0
     assert "clip.mp4 drives this avatar" in refused["error"]
 
 
@@ -119,8 +125,11 @@ def test_a_pages_camera_drives(scene):
     scene.drive = Drive(scene.body, driver=Told())
     assert scene.drive.told() == {"motion": LIVE, "source": None, "camera": True}
     hello, (waiting, _), taken, (head, data) = talk(scene, said(do="hello"), said(**WISH), sent(JPEG), said(**WISH))
-    assert LIVE not in hello["motions"] and waiting["live"]["state"] == "waiting"
-    assert taken == {"id": 7} and head["live"]["tag"] == 7 and head["live"]["bytes"] == 0
+    assert LIVE not in hello["motions"]
+    assert waiting["live"]["state"] == "waiting"
+    assert taken == {"id": 7}
+    assert head["live"]["tag"] == 7
+    assert head["live"]["bytes"] == 0
     assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).shape == (48, 64, 3)
 
 
@@ -128,7 +137,8 @@ def test_a_pages_camera_drives(scene):
 def test_a_malformed_picture_is_a_sentence(scene, data):
     scene.drive = Drive(scene.body, driver=Told())
     refused, after = talk(scene, sent(data), sent(JPEG))
-    assert refused["error"].startswith("the camera's picture") and after == {"id": 7}
+    assert refused["error"].startswith("the camera's picture")
+    assert after == {"id": 7}
 
 
 def test_one_pages_camera_at_a_time(scene, monkeypatch):

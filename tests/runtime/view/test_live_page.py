@@ -9,8 +9,8 @@ from live_people import Told, raised
 
 from gavatar_runtime.bundle import read_bundle
 from gavatar_runtime.view.drive import Drive
-from gavatar_runtime.view.scene import Scene
 from gavatar_runtime.view.server import Viewer
+from gavatar_runtime.view.viewed_avatar import ViewedAvatar
 
 pytestmark = pytest.mark.skipif(find_browser() is None, reason="no Chromium here")
 cv2 = pytest.importorskip("cv2", reason="writes the camera's pictures")
@@ -30,7 +30,7 @@ def film(tmp_path_factory):
 
 def test_the_pages_camera_drives(static, film):
     told = Told(lambda k: raised(0.01 * k))
-    scene = Scene(read_bundle(static))
+    scene = ViewedAvatar(read_bundle(static))
     scene.drive = Drive(scene.body, driver=told)
     with Viewer(scene) as viewer, opened_page(*FAKE, f"--use-file-for-fake-video-capture={film}") as page:
         page.open(viewer.address)
@@ -44,7 +44,8 @@ def test_the_pages_camera_drives(static, film):
             "(() => { const c = drive.inset; if (c.width !== 320) return null;"
             "return [...c.getContext('2d').getImageData(200, 200, 1, 1).data]; })()"
         )
-        assert red > 150 and green < 60, "the camera's own picture stands beside the avatar"
+        assert red > 150, "the camera's own picture stands beside the avatar"
+        assert green < 60
         assert 0 < page.evaluate("drive.delay") < 10
         page.evaluate("document.querySelector('[data-part=camera]').click()")
         assert page.evaluate("document.querySelector('[data-part=camera]').textContent") == "Use my camera"
@@ -54,12 +55,14 @@ def test_the_pages_camera_drives(static, film):
 
 
 def test_a_camera_that_is_refused_is_a_sentence(static):
-    scene = Scene(read_bundle(static))
+    scene = ViewedAvatar(read_bundle(static))
     scene.drive = Drive(scene.body, driver=Told())
     with Viewer(scene) as viewer, opened_page() as page:
         page.open(viewer.address)
         page.wait("window.drive && controls.state.motion")
-        page.evaluate("navigator.mediaDevices.getUserMedia = async () => { throw new DOMException('', 'NotAllowedError'); }")
+        page.evaluate(
+            "navigator.mediaDevices.getUserMedia = async () => { throw new DOMException('', 'NotAllowedError'); }"
+        )
         page.evaluate("document.querySelector('[data-part=camera]').click()")
         page.wait("document.querySelector('[data-part=notes] .wrong') !== null")
         assert page.evaluate("drive.camera === null && controls.state.motion.name") == scene.motion_names[0]
@@ -80,12 +83,12 @@ class Clip:
 
 
 def test_a_clip_of_the_server(static):
-    scene = Scene(read_bundle(static))
+    scene = ViewedAvatar(read_bundle(static))
     scene.drive = Drive(scene.body, Clip(), Told())
     with Viewer(scene) as viewer, opened_page() as page:
         page.open(viewer.address)
         page.wait(f"{SHOWN} === 'following' && drive.inset.width === 160")
-        assert page.evaluate("document.querySelector('[data-part=camera]') === null"), "the clip drives, no page's camera"
+        assert page.evaluate("document.querySelector('[data-part=camera]') === null"), "the clip drives"
         before = page.evaluate("controls.engine.frames")
         page.wait(f"controls.engine.frames > {before} + 3")
         page.evaluate("controls.play('turn')")
