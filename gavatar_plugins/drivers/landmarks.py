@@ -8,6 +8,7 @@ import numpy as np
 
 from gavatar.optional import install_command
 from gavatar.preparation.landmarks import BONES
+from gavatar.registry import BODIES, load_plugins
 from gavatar_runtime.components import NoOptions
 from gavatar_runtime.live.drivers import DRIVERS, Driver, Seen
 
@@ -33,9 +34,9 @@ class LandmarkDriver(Driver):
     def __init__(self, config: NoOptions):
         from gavatar.driving.person_follower import PersonFollower
 
-        from ..bodies.free import load_free_body
-
-        self._person = PersonFollower(load_free_body())
+        if not BODIES.having(shipped=True):
+            load_plugins()
+        self._person = PersonFollower(BODIES.build(BODIES.having(shipped=True)[0]).data)
 
     def __call__(self, image: np.ndarray, time: float) -> Seen | None:
         """See `Driver`."""

@@ -16,7 +16,8 @@ RUNTIME, LIBRARY, PLUGINS = ROOT / "deploy" / "gavatar_runtime", ROOT / "gavatar
 RUNTIME_MAY_IMPORT = {"numpy", "onnxruntime", "gavatar_runtime"}
 # OpenCV is optional there: these try it
 MAY_TRY_OPENCV = {RUNTIME / "play" / "outputs" / name for name in ("video_encoder.py", "contact_sheet.py")}
-MAY_TRY_OPENCV |= {RUNTIME / "view" / "frame_encoding.py"}
+MAY_TRY_OPENCV |= {RUNTIME / "view" / name for name in ("frame_encoding.py", "drive.py")}
+MAY_TRY_OPENCV |= {RUNTIME / "live" / name for name in ("sources.py", "camera_pictures.py")}
 UNSAFE_MODULES = {"pickle", "cPickle", "dill", "joblib", "shelve", "marshal"}
 EXCEPTIONS_OF_PICKLE = {"UnpicklingError", "PickleError"}  # what torch.load raises, even with weights_only=True
 # the restricted unpickler itself, which tests/runtime/formats/test_safe_pickle.py attacks
@@ -93,7 +94,7 @@ def imports_within(*rooms: Path) -> dict[str, set[str]]:
 FLOORS = (
     ("cpus", "version", "notes", "progress"), ("errors", "splatting_rule"), ("components", "plugins", "native_library"),
     ("geometry",), ("values",), ("formats",), ("bundle", "rigs"), ("motions",), ("decoding",), ("tiers",), ("avatar",),
-    ("render", "web", "browser"), ("play",), ("conversions", "view"), ("player_face",), ("cli",),
+    ("render", "web", "browser"), ("live", "play"), ("conversions", "view"), ("player_face",), ("cli",),
     ("gavatar_runtime",),
 )  # fmt: skip
 FLOOR = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}

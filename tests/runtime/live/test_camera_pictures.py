@@ -33,7 +33,8 @@ def declared(width: int, height: int) -> bytes:
 @pytest.mark.parametrize(
     "data",
     [b"", b"\xff", b"\xff\xd8", b"\xff\xd8\xff", b"\xff\xd8\xff\xc0\x00\x11\x08", b"GIF89a",
-     b"\xff\xd8" + b"\xff" * 999, b"\xff\xd8\xff\xe0\x00\x00" * 9, jpeg()[:40], declared(65535, 65535), declared(2049, 10), declared(0, 10),     b"\x89PNG\r\n\x1a\n" + bytes(100), b"\xff\xd8" + bytes(MOST_BYTES)],
+     b"\xff\xd8" + b"\xff" * 999, b"\xff\xd8\xff\xe0\x00\x00" * 9, jpeg()[:40], declared(65535, 65535),
+     declared(2049, 10), declared(0, 10), b"\x89PNG\r\n\x1a\n" + bytes(100), b"\xff\xd8" + bytes(MOST_BYTES)],
 )  # fmt: skip
 def test_what_is_no_picture_is_one_sentence(data):
     with pytest.raises(WrongValue) as caught:
