@@ -33,6 +33,9 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 # the other half). Read when torch allocates for the first time.
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 
+# OpenCV's own lines on damaged files name lines of its source; what is wrong with which file is said in a sentence.
+os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+
 # OpenMP and torch keep to the affinity by themselves, but know nothing of a container's quota.
 if cpu_quota() is not None:
     os.environ.setdefault("OMP_NUM_THREADS", str(usable_cpus()))

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.geometry.kinematics import joint_transforms
+from gavatar_runtime.geometry.kinematics import invert_rigid, joint_transforms
 from gavatar_runtime.motions.upright import Y_UP_FROM
 from gavatar_runtime.values.body import SMPL_BODY_JOINTS, BodyData, check_motion_fits
 from gavatar_runtime.values.camera import Camera
@@ -180,11 +180,11 @@ def _readings(capture: Capture, bones: _Bones) -> list[tuple[str, Place]]:
          "and images seem to start at different frames", frames(k)) for k in OFFSETS if abs(k) <= last
     ]  # fmt: skip
     found += [
-        ("when the cameras' matrices are inverted: give world to camera, not camera to world", cameras(np.linalg.inv)),
+        ("when the cameras' matrices are inverted: give world to camera, not camera to world", cameras(invert_rigid)),
         ("when the cameras look along -z: give OpenCV's axes (x right, y down, z forward), not OpenGL's",
          cameras(lambda T: OPENGL @ T)),
         ("when the cameras' matrices are inverted and look along -z: give world to camera in OpenCV's axes, not camera "
-         "to world in OpenGL's", cameras(lambda T: OPENGL @ np.linalg.inv(T))),
+         "to world in OpenGL's", cameras(lambda T: OPENGL @ invert_rigid(T))),
     ]  # fmt: skip
     for unit, factor in (("millimetres", 1e-3), ("centimetres", 1e-2)):
         found.append((f"when the body's translations are {unit}: give metres", scaled(factor)))

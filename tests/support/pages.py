@@ -15,7 +15,6 @@ COMMANDS = {
     "gavatar-train": "gavatar.cli.train",
     "gavatar-make": "gavatar.cli.make",
     "gavatar-demo": "gavatar.cli.demo",
-    "gavatar-make": "gavatar.cli.make",
     "gavatar-prepare": "gavatar.cli.prepare",
     "gavatar-eval": "gavatar.cli.evaluate",
     "gavatar-export": "gavatar.cli.export",
@@ -25,7 +24,6 @@ COMMANDS = {
     "gavatar-view": "gavatar_runtime.cli.view",
     "gavatar-convert": "gavatar_runtime.cli.convert",
     "gavatar-motion": "gavatar_runtime.cli.motion_files",
-    "gavatar-convert": "gavatar_runtime.cli.convert",
 }
 FENCE = re.compile(r"^```(?:\w*)\n(.*?)^```", re.M | re.S)
 INDENTED = re.compile(r"(?:^    .*\n?)+", re.M)
