@@ -28,6 +28,8 @@ LIMIT = 0.1  # radians beyond what a joint can do that count as one standard dev
 SPEED = 6.0  # radians a second by which a joint may leave the pose before
 MIRRORED = 1.5  # radians of turning that another reading of front and back costs
 
+Start = tuple[np.ndarray, np.ndarray | None]  # rotations (22, 3, 3), and the place where that is known
+
 _HIPS = [INDEX["left_hip"], INDEX["right_hip"]]
 _TORSO = [*_HIPS, INDEX["left_shoulder"], INDEX["right_shoulder"]]
 _A, _B = (np.array(ends) for ends in zip(*BONES, strict=True))
@@ -96,13 +98,16 @@ class CausalFit:
         seen = _Seen(image, visibility, space, camera)
         last, sigma = self._last, SPEED * min(dt, 0.25)
         if last is not None and self._cost(last.rotations, seen) <= LOST:
-            start, steps = (last.rotations, last.trans), STEPS
+            start: Start = last.rotations, last.trans
+            steps = STEPS
         else:
             start, steps = (self._from_landmarks(space), None), FIRST_STEPS
         self._last = self._descended(start, seen, None if last is None else last.rotations, sigma, steps)
         return self._last
 
-    def _read(self, image, visibility, space, camera):
+    def _read(
+        self, image: np.ndarray, visibility: np.ndarray, space: np.ndarray, camera: Camera
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The landmarks with front and back, left and right as they go best with the pose before: networks confuse
         them (`preparation.initial.unflip` chooses over the whole footage)."""
         if self._last is None or visibility[_TORSO].min() < 0.1:
@@ -127,7 +132,7 @@ class CausalFit:
             return
         factors = self.mean.lengths(space) / self._usual_lengths
         self._measured.append(np.where(self.mean.visible(visibility) > 0.5, factors, np.nan))
-        known = np.isfinite(self._measured).any(0)
+        known = np.isfinite(np.array(self._measured)).any(0)
         found = np.ones(len(known))
         found[known] = np.nanmedian(np.array(self._measured)[:, known], 0)
         self.skeleton = self.mean.scaled(found)
@@ -148,7 +153,8 @@ class CausalFit:
 
     def _chain(self, joint: int) -> list[int]:
         """The joints between the root and one, both left out."""
-        chain, k = [], int(self.skeleton.parents[joint])
+        chain: list[int] = []
+        k = int(self.skeleton.parents[joint])
         while k > 0:
             chain.insert(0, k)
             k = int(self.skeleton.parents[k])
@@ -159,12 +165,11 @@ class CausalFit:
         miss = points[_B] - points[_A] - seen.bones(points)
         return float((seen.bone_weight * (miss**2).sum(-1)).sum())
 
-    def _descended(self, start, seen: _Seen, before: np.ndarray | None, sigma: float, steps: int) -> Fitted:
-        rotations, trans = start[0].copy(), start[1]
+    def _descended(self, start: Start, seen: _Seen, before: np.ndarray | None, sigma: float, steps: int) -> Fitted:
+        rotations, place = start[0].copy(), start[1]
+        trans = seen.placed(self.skeleton.posed(rotations)[2]) if place is None else place
         for step in range(steps + 1):
             R, joints, points = self.skeleton.posed(rotations)
-            if trans is None:
-                trans = seen.placed(points)
             if step == steps:
                 break
             H, g = self._normal(rotations, R, joints, points, trans, seen, before, sigma)
@@ -176,7 +181,10 @@ class CausalFit:
             trans = trans + change[-3:]
         return Fitted(rotations, joints + trans, points + trans, trans)
 
-    def _normal(self, rotations, R, joints, points, trans, seen: _Seen, before, sigma):
+    def _normal(
+        self, rotations: np.ndarray, R: np.ndarray, joints: np.ndarray, points: np.ndarray, trans: np.ndarray,
+        seen: _Seen, before: np.ndarray | None, sigma: float,
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """(69, 69) and (69,): the normal equations over 22 rotations, each in its joint's own axes, and the place."""
         n = len(rotations)
         # a landmark's change by a joint's turn: the turn's axis in the world, crossed with the arm from joint to it

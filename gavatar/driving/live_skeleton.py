@@ -12,7 +12,7 @@ from ..preparation.landmarks import INDEX, fold_hands, landmark_rows
 
 _SIDES = ("left", "right")
 # Lengths that a landmark network's points in space tell: the ends of each, an end being the middle of its points.
-_ENDS = {
+_ENDS: dict[str, list[tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "trunk": [(("left_shoulder", "right_shoulder"), ("left_hip", "right_hip"))],
     "shoulders": [(("left_shoulder",), ("right_shoulder",))],
     "hips": [(("left_hip",), ("right_hip",))],

@@ -58,6 +58,7 @@ WORDS = {
     ("deploy/gavatar_runtime/cli/motion_files.py", "frames"): "of a motion",
     ("deploy/gavatar_runtime/cli/play.py", "json"): "an argument",
     ("deploy/gavatar_runtime/cli/play_report.py", "frames"): "how many were played",
+    ("deploy/gavatar_runtime/live/following.py", "idle"): "a state",
     ("deploy/gavatar_runtime/formats/bvh_file.py", "frames"): "a word of the format",
     ("deploy/gavatar_runtime/formats/pickled_values.py", "numpy"): "the package",
     ("deploy/gavatar_runtime/formats/torch_file.py", "torch"): "the package",

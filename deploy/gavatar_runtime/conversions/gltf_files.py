@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -132,7 +133,8 @@ def _animation(file: GlbFile, look: Look, motion: Motion) -> None:
     }
     tracks = [(j, "rotation", _gltf_quaternions(rotations[j])) for j in rotations]
     tracks.append((root, "translation", (look.rest[root] + motion.trans).astype(np.float32)))
-    samplers, channels = [], []
+    samplers: list[dict[str, Any]] = []
+    channels: list[dict[str, Any]] = []
     for joint, path, values in tracks:
         still = (values == values[0]).all()
         sampler = {"input": once if still else times, "output": file.accessor(values[:1] if still else values)}

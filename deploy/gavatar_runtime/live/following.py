@@ -46,7 +46,8 @@ class Steadied:
 
     def __init__(self, body: PlayedBody):
         self.body = body
-        idle = read_motion("idle") if "idle" in MOTIONS else Motion(relaxed_pose()[None], np.zeros((1, 3)), 30.0)
+        named = MOTIONS.having(waits=True)
+        idle = read_motion(named[0]) if named else Motion(relaxed_pose()[None], np.zeros((1, 3)), 30.0)
         self.idle = body.fit(idle)[0]
         self.reset()
 
@@ -54,8 +55,9 @@ class Steadied:
         """Begin again: what comes next are other pictures."""
         self._turns, self._places = Rotations(), Places()
         self._held: tuple[np.ndarray, np.ndarray] | None = None
-        self._absent = np.inf  # time since which nobody is there; before the first person: idle
-        self._idle, self._time = 1.0, None
+        self._absent: float | None = np.inf  # time since which nobody is there; before the first person: idle
+        self._idle = 1.0
+        self._time: float | None = None
 
     def __call__(self, seen: Seen | None, time: float) -> tuple[np.ndarray, np.ndarray, str]:
         """Pose (J, 3), translation (3,) and state at `time` seconds."""

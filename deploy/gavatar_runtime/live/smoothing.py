@@ -105,7 +105,7 @@ class Places:
         if dt > 0:
             moved = (place - self._last) / dt if dt < LONGEST else np.zeros(3)
             self._speed = self._speed + dt / (dt + 1 / (2 * np.pi * self.cutoff.speed)) * (moved - self._speed)
-            share = self.cutoff.share(dt, np.linalg.norm(self._speed))
+            share = self.cutoff.share(dt, np.asarray(np.linalg.norm(self._speed)))
             self._shown = self._shown + share * (place - self._shown)
             self._last, self._time = place, time
         return self._shown

@@ -41,10 +41,10 @@ class Source:
         """The picture to look at now, (H, W, 3) uint8, blue first, and its time in seconds from the first; None after
         the last of a clip. Of a clip, waits until it is due, and leaves out those that are overdue."""
         if self._first is not None:
-            image, self._first = self._first, None
+            first, self._first = self._first, None
             self._start = perf_counter()
             self._count = 1
-            return image, 0.0
+            return first, 0.0
         if self.camera is not None:
             image = self._read()
             return None if image is None else (image, perf_counter() - self._start)

@@ -34,9 +34,11 @@ class MotionSource(abc.ABC):
 
 @dataclasses.dataclass(frozen=True)
 class MotionTraits:
-    """varied: a built-in motion whose poses vary, so that what playing costs and loses can be measured by it."""
+    """varied: a built-in motion whose poses vary, so that what playing costs and loses can be measured by it.
+    waits: it is what a person does while nothing is asked of them."""
 
     varied: bool = False
+    waits: bool = False
 
 
 MOTIONS: Registry[MotionSource] = Registry("motion", MotionTraits, base=MotionSource)

@@ -92,7 +92,8 @@ class Drive:
         if shown is None or following is None:
             return {"state": "waiting", "bytes": 0, "source": "", "points": [], "lines": []}, b""
         height, width = shown.picture.shape[:2]
-        seen, picture = shown.seen, b""
+        seen = shown.seen
+        picture: bytes | memoryview = b""
         if self.source is not None:  # a page has its own pictures
             picture = _small(shown.picture)
         points = [] if seen is None else np.c_[seen.points / (width, height), seen.visibility].round(4).tolist()

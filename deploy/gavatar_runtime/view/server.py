@@ -263,7 +263,8 @@ def _hello(scene: ViewedAvatar) -> dict[str, Any]:
 
 def _send_frame(connection: WebSocket, scene: ViewedAvatar, message: dict[str, Any]) -> None:
     wish = Wish.of(message)
-    live, beside = None, b""
+    live: dict[str, Any] | None = None
+    beside: bytes | memoryview = b""
     if scene.drive is not None and wish.motion == LIVE:
         shown = scene.drive.next(connection)
         pose, trans = scene.drive.rest if shown is None else (shown.pose, shown.trans)

@@ -139,7 +139,7 @@ class ViewedAvatar:
     def described(self, name: str) -> dict[str, Any]:
         """What a page wants to know of a motion: name, fps, count of frames, and where the person is in it."""
         live = self.drive is not None and name == LIVE
-        motion = self.drive.extent() if live else self.motion(name)
+        motion = self.drive.extent() if self.drive is not None and live else self.motion(name)
         points = body_points(self.body, motion)
         points = points[:: max(1, len(points) // BODY_POINTS)]
         low, high = points.min(0), points.max(0)

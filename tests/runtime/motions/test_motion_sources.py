@@ -13,7 +13,7 @@ from gavatar_runtime.values.motion import Motion
 
 
 def test_an_unknown_name_lists_names_and_suffixes_and_the_nearest():
-    with pytest.raises(UserError, match=r"unknown motion 'wavee'.*\.npz.*turn, wave.*did you mean 'wave'"):
+    with pytest.raises(UserError, match=r"unknown motion 'wavee'.*\.npz.*turn, walk, wave.*did you mean 'wave'"):
         read_motion("wavee")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import WrongValue
 from ...values.motion import Motion
-from ..source import MOTIONS, MotionSource
+from ..source import MOTIONS, MotionSource, MotionTraits
 from .curves import cyclic
 from .figure import SIDES, Figure, planted
 from .standing import loop_phase
@@ -25,7 +25,12 @@ class IdleOptions:
     shift: float = 1.0
 
 
-@MOTIONS.register("idle", config=IdleOptions, summary="stands, breathes, shifts the weight; loops")
+@MOTIONS.register(
+    "idle",
+    config=IdleOptions,
+    summary="stands, breathes, shifts the weight; loops",
+    traits=MotionTraits(waits=True),
+)
 class Idle(MotionSource):
     """Somebody who waits: the feet stay, the weight goes from one leg to the other and back, the eyes wander, the chest
     rises and falls. The frame after the last would be the first."""

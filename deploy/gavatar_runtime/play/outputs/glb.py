@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class GlbOutput(GaussianFiles):
 
     def encode(self, gaussians: Gaussians) -> bytes:
         file = GlbFile()
-        node = {"name": "gaussians"}
+        node: dict[str, Any] = {"name": "gaussians"}
         if len(gaussians):  # a mesh without points is none to the format
             node["mesh"] = file.add("meshes", {"primitives": [gaussian_primitive(file, gaussians)]})
         file.document |= {"scene": 0, "scenes": [{"nodes": [file.add("nodes", node)]}]}

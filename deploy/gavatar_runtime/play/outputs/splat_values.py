@@ -51,7 +51,7 @@ def unit_quaternions(gaussians: Gaussians) -> np.ndarray:
 def y_down(points: np.ndarray) -> np.ndarray:
     """(N, 3) points of our world (y up) after half a turn about z: y points down, as in the scenes that 3DGS learns.
     Viewers that stand such files upright (PlayCanvas, SuperSplat) turn them back."""
-    return points * np.float32([-1, -1, 1])
+    return points * np.array([-1, -1, 1], np.float32)
 
 
 def turned_y_down(quaternions: np.ndarray) -> np.ndarray:
