@@ -68,7 +68,7 @@ def run_demo(out: Path, overrides: Sequence[str] = (), say: Callable[[str], None
     bundle = out / "studio_demo.gavatar"
     run = TrainedRun(evaluations["+opt+dyn"].run)
     # one look for all poses is enough for the page: bases that follow the pose would take as long as the training
-    still = [name for name in player_tiers().having(linear=True) if not player_tiers()[name].factory.moves]
+    still = [name for name in player_tiers().having(linear=True) if not player_tiers()[name].kind.moves]
     manifest = run.export(bundle, tiers=still if run.dynamic else ()).manifest
     say(f"     {bundle}: positions within {1000 * manifest.export_check['position_m']:.5f} mm of PyTorch")
     say("5/5  playback, in a process without torch")

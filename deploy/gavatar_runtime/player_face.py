@@ -20,7 +20,7 @@ from .errors import WrongValue
 from .motions.builtin import relaxed_pose
 from .notes import Note
 from .play.performance import PlayReport, perform
-from .play.staging import View
+from .play.staging import Shot
 from .render.renderer import Renderer
 from .tiers import stored_tiers
 from .values.camera import Camera
@@ -123,7 +123,7 @@ class Avatar(playing.Avatar):
         camera's own, where none is given. background: a colour's name, `#rrggbb`, or (3,) in [0, 1].
         """
         motion = self._still(pose, trans, expression, parts)
-        view = View(size=size, width=width, height=height, camera=camera, background=background)
+        view = Shot(size=size, width=width, height=height, camera=camera, background=background)
         (shot,) = view.cameras(self, motion)
         gaussians = self.renderer.gaussians(*motion.at(0), camera=shot)
         return self.renderer.rasterize_uint8(gaussians, shot, view.color).copy()

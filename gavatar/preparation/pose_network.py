@@ -73,7 +73,7 @@ def _corner_to_centre(M: np.ndarray) -> np.ndarray:
 
 
 @dataclasses.dataclass(frozen=True)
-class Person:
+class TrackedPerson:
     """One detected person. box: x0, y0, x1, y1 of the face and shoulders, pixels. region: the whole body's."""
 
     score: float
@@ -148,7 +148,7 @@ class PoseNetworks:
             self.landmarker = _session(landmark_file or folder / "pose_landmark_full.onnx")
         self.anchors = anchors()
 
-    def detect(self, image: np.ndarray) -> list[Person]:
+    def detect(self, image: np.ndarray) -> list[TrackedPerson]:
         """People in an image (H, W, 3) uint8 BGR, most certain first."""
         height, width = image.shape[:2]
         whole = Region(np.array([width / 2, height / 2]), float(max(width, height)), 0.0)
@@ -168,7 +168,7 @@ class PoseNetworks:
             weight = scores[group] / scores[group].sum()
             box = (weight @ boxes[group]).reshape(2, 2) @ M[:, :2].T + M[:, 2]
             centre, rim = np.einsum("n,nkc->kc", weight, points[group])[:2] @ M[:, :2].T + M[:, 2]
-            people.append(Person(float(scores[group].max()), box.reshape(4), Region.around(centre, rim)))
+            people.append(TrackedPerson(float(scores[group].max()), box.reshape(4), Region.around(centre, rim)))
         return people
 
     def landmarks(self, image: np.ndarray, region: Region, mirrored: bool = True) -> Pose:

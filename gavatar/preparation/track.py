@@ -14,7 +14,7 @@ from gavatar_runtime.progress import shown
 
 from .landmarks import Landmarks
 from .matting import refine_mask
-from .pose_network import Person, Pose, PoseNetworks
+from .pose_network import Pose, PoseNetworks, TrackedPerson
 
 LOOK_AROUND = 24  # frames spread over the footage in which the largest person is sought
 PRESENT = 0.5  # least score of the landmark network, as in the published graph
@@ -43,7 +43,7 @@ def largest_person(images: Iterable[np.ndarray], networks: PoseNetworks) -> tupl
     return side, people
 
 
-def _next(found: list[Person], last: Pose | None, least: float) -> Person | None:
+def _next(found: list[TrackedPerson], last: Pose | None, least: float) -> TrackedPerson | None:
     """The person to follow: the largest, or, once someone was followed, the one nearest to where they were lost."""
     found = [p for p in found if p.region.side >= least]
     if not found:

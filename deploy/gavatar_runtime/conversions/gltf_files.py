@@ -16,7 +16,7 @@ from ..play.outputs.glb import gaussian_primitive
 from ..render.widening import as_filmed
 from ..values.gaussians import Gaussians
 from ..values.motion import Motion
-from ..web.look import Look, read_look
+from ..web.look import StillLook, read_look
 from .conversion import CONVERSIONS, Conversion, Request
 
 IN_A_SET = 4  # joints of a point in one attribute JOINTS_n
@@ -63,7 +63,7 @@ class SkinnedGlb(Conversion):
         with atomic(path) as temporary:
             temporary.write_bytes(file.to_bytes())
 
-    def _look(self, request: Request) -> Look:
+    def _look(self, request: Request) -> StillLook:
         """One look for all poses: what a skin can carry."""
         look = read_look(request.avatar, request.tier, "file")
         if request.gaussians is not None:
@@ -76,7 +76,7 @@ class SkinnedGlb(Conversion):
             look = dataclasses.replace(look, residual=None)
         return look
 
-    def _influences(self, look: Look) -> tuple[np.ndarray, np.ndarray]:
+    def _influences(self, look: StillLook) -> tuple[np.ndarray, np.ndarray]:
         """(N, 4 k) joints, uint8 or uint16, and float32 weights that sum to one, the heaviest first; joints of weight
         zero are 0, as the format wants it."""
         most = self.options.joints
@@ -105,7 +105,7 @@ class SkinnedGlb(Conversion):
         return joints, kept
 
 
-def _skeleton(file: GlbFile, look: Look) -> int:
+def _skeleton(file: GlbFile, look: StillLook) -> int:
     """A node a joint, under the index of the joint, and the skin: its index."""
     stance = _gltf_quaternions(look.relaxed)
     for joint, (name, parent) in enumerate(zip(look.joint_names, look.parents, strict=True)):
@@ -122,7 +122,7 @@ def _skeleton(file: GlbFile, look: Look) -> int:
     return file.add("skins", {"inverseBindMatrices": matrices, "joints": joints, "skeleton": root})
 
 
-def _animation(file: GlbFile, look: Look, motion: Motion) -> None:
+def _animation(file: GlbFile, look: StillLook, motion: Motion) -> None:
     """One motion under its name. Joints that it holds still, elsewhere than at ease, have one key."""
     frames = np.arange(len(motion), dtype=np.float64) / motion.fps
     times = file.accessor(frames.astype(np.float32), bounds=True)

@@ -15,7 +15,7 @@ from ..motions.builtin import relaxed_pose
 from ..values.motion import Motion
 from .drivers import Driver, Seen
 from .smoothing import Places, Rotations, blended
-from .sources import Source
+from .sources import LivePictures
 
 HOLD, RELAX, RETURN = 0.5, 1.5, 0.3  # seconds: still after the person is gone, to idle, back when they are there
 FOLLOWING, HOLDING, IDLE = "following", "holding", "idle"
@@ -90,13 +90,13 @@ class Steadied:
 
 
 class Following:
-    """An avatar driven by pictures: of a `Source`, in a thread of its own, or those that are given by `give`.
+    """An avatar driven by pictures: of a `LivePictures`, in a thread of its own, or those that are given by `give`.
 
     body: the avatar's. driver: finds the person. source: None for pictures that are given. A clip that ends begins
     again; a camera that ends stops. `ended` says so, in a sentence, or is ''.
     """
 
-    def __init__(self, body: PlayedBody, driver: Driver, source: Source | None = None):
+    def __init__(self, body: PlayedBody, driver: Driver, source: LivePictures | None = None):
         self.driver, self.source = driver, source
         self.lines = driver.lines
         self.name = "your camera" if source is None else source.name

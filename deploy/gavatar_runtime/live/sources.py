@@ -17,7 +17,7 @@ from .drivers import why_not
 USUAL_RATE = 30.0  # frames a second of a clip that does not say
 
 
-class Source:
+class LivePictures:
     """A webcam, by its number, or a video file.
 
     what: `0` or `clip.mp4`. name: for a user. Raises UserError where there is no such camera or video.
@@ -103,12 +103,12 @@ class Source:
         return f"{what} cannot be read as a video: give an .mp4, .mov, .webm or .avi that a player shows"
 
 
-def source_to_drive(what: str) -> Source:
+def source_to_drive(what: str) -> LivePictures:
     """The camera or clip `what`. Raises UserError where there is nothing that could follow a person in it."""
     reason = why_not()
     if reason:
         raise UserError(reason)
-    return Source(what)
+    return LivePictures(what)
 
 
 def _opencv() -> ModuleType:

@@ -26,7 +26,7 @@ from .company import Companion, Place, abreast
 from .defaults import AUTO, BLEND
 from .outputs import FrameFormat, Output, default_output, find_output, open_output, output_called
 from .player import Progress, Timings, play_gaussians, play_images
-from .staging import Clip, Level, View, differing
+from .staging import Clip, Level, Shot, differing
 
 Cast = list[tuple[PlayedAvatar, Motion]]  # the first avatar and its companions, each with its motion where it stands
 
@@ -88,7 +88,7 @@ def perform(
     frames where no video can be written. output, output_options: the name of an output where the suffix alone does not
     tell, and options of its own (`open_output`).
     fps, seconds, frames, ground: which part of the motion (`Clip`). size, width, height, camera, orbit, background,
-    rasterizer, rasterizer_options: how the person is looked at and drawn (`View`). tier, min_psnr, target_fps,
+    rasterizer, rasterizer_options: how the person is looked at and drawn (`Shot`). tier, min_psnr, target_fps,
     budget_ms, uv, seen_only, reuse, threads: how they are decoded (`Level`); where none of these chooses a tier, fps
     does.
     progress: called as `progress(done, total)` after each frame. tell: called with each note when it comes up.
@@ -96,7 +96,7 @@ def perform(
     """
     start = perf_counter()
     clip = Clip(fps, seconds, frames, ground)
-    view = View(size, width, height, camera, orbit, background, rasterizer, rasterizer_options)
+    view = Shot(size, width, height, camera, orbit, background, rasterizer, rasterizer_options)
     level = Level(tier, min_psnr, target_fps, budget_ms, uv, seen_only, reuse, threads)
     notes = _Notes(tell)
     read = _all_read(motion, notes)
@@ -153,7 +153,7 @@ def _arriving(companion: Companion, blend: float, notes: _Notes) -> tuple[Bundle
 
 
 def _entered(
-    source: Bundle | PlayedAvatar, motion: Motion, companion: Companion, span: Clip, clip: Clip, view: View,
+    source: Bundle | PlayedAvatar, motion: Motion, companion: Companion, span: Clip, clip: Clip, view: Shot,
     level: Level,
 ) -> tuple[PlayedAvatar, Motion]:  # fmt: skip
     """A companion as it plays, and its motion at its place."""
@@ -204,7 +204,7 @@ class _Ready:
     rasterizer: str | None = None
 
 
-def _images(cast: Cast, opened: Callable[[FrameFormat], Output[Any]], view: View, threads: int | None) -> _Ready:
+def _images(cast: Cast, opened: Callable[[FrameFormat], Output[Any]], view: Shot, threads: int | None) -> _Ready:
     (avatar, motion), *others = cast
     cameras = view.cameras(avatar, motion, others)
     renderer = view.renderer(avatar, threads)
@@ -256,7 +256,7 @@ def _report(
     )
 
 
-def _opened(source: Bundle | PlayedAvatar, clip: Clip, view: View, level: Level, motion: Motion) -> PlayedAvatar:
+def _opened(source: Bundle | PlayedAvatar, clip: Clip, view: Shot, level: Level, motion: Motion) -> PlayedAvatar:
     if isinstance(source, Bundle):
         return level.open(source, clip, view, motion)
     given = [name for name in differing(level) if name != "threads"]
@@ -289,7 +289,7 @@ def _slower_rasterizer() -> str:
     return f"rasterizer {drawn_by}, for {preferred.name} ({preferred.summary}) is missing: {why}" if why else ""
 
 
-def _is_drawn(out: str | os.PathLike, output: str | None, view: View, level: Level, notes: _Notes) -> bool:
+def _is_drawn(out: str | os.PathLike, output: str | None, view: Shot, level: Level, notes: _Notes) -> bool:
     """Whether that output takes pictures; what there is to note of it either way."""
     if find_output(out, output).wants != "image":
         _check_undrawn(out, view, level, notes)
@@ -299,7 +299,7 @@ def _is_drawn(out: str | os.PathLike, output: str | None, view: View, level: Lev
     return True
 
 
-def _check_undrawn(out: str | os.PathLike, view: View, level: Level, notes: _Notes) -> None:
+def _check_undrawn(out: str | os.PathLike, view: Shot, level: Level, notes: _Notes) -> None:
     """Note what an output of Gaussians makes no use of; UserError for what would decode for a camera."""
     if level.seen_only or level.uv == AUTO:
         option = "`seen_only`" if level.seen_only else f"`uv={AUTO}`"

@@ -69,7 +69,7 @@ class Clip:
 
 
 @dataclasses.dataclass(frozen=True)
-class View:
+class Shot:
     """How the person is looked at.
 
     size, width, height: pixels; what is not given is as long as what is, and 512 alone. camera: `front`, `left`,
@@ -178,7 +178,7 @@ class Level:
                 "`budget_ms` chooses the level of detail and the reuse: leave `uv`, `reuse` and `seen_only` out"
             )
 
-    def open(self, bundle: Bundle, clip: Clip, view: View, motion: Motion) -> Avatar | AdaptiveAvatar:
+    def open(self, bundle: Bundle, clip: Clip, view: Shot, motion: Motion) -> Avatar | AdaptiveAvatar:
         """The avatar at this level, for a motion that is played as clip and view say.
 
         The frame rate of the clip chooses a tier where nothing else does; not with reuse or seen_only, which need
@@ -200,7 +200,7 @@ class Level:
         return avatar
 
 
-def differing(options: Clip | View | Level) -> list[str]:
+def differing(options: Clip | Shot | Level) -> list[str]:
     """Which fields are not what they are by default."""
     values = {field.name: (getattr(options, field.name), field.default) for field in dataclasses.fields(options)}
     return [name for name, (value, default) in values.items() if type(value) is not type(default) or value != default]
@@ -223,7 +223,7 @@ def color_from(color: str | Sequence[float]) -> tuple[float, float, float]:
     return values[0], values[1], values[2]
 
 
-def _uv_on_screen(bundle: Bundle, clip: Clip, view: View, motion: Motion) -> int | None:
+def _uv_on_screen(bundle: Bundle, clip: Clip, view: Shot, motion: Motion) -> int | None:
     """The level of detail that the person's largest size in the images is worth."""
     body = Avatar(bundle, tier=None)
     motion, _ = clip.fitted(body, motion)

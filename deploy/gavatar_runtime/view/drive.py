@@ -14,7 +14,7 @@ from ..errors import WrongValue
 from ..live.camera_pictures import decoded
 from ..live.drivers import Driver, build_driver, why_not
 from ..live.following import Following, Shown, Steadied
-from ..live.sources import Source
+from ..live.sources import LivePictures
 from ..motions.builtin import relaxed_pose
 from ..values.motion import Motion
 from ..values.skeletons import SMPLH
@@ -33,7 +33,7 @@ class Drive:
     source and no driver (`drivers.why_not`).
     """
 
-    def __init__(self, body: Avatar, source: Source | None = None, driver: Driver | None = None):
+    def __init__(self, body: Avatar, source: LivePictures | None = None, driver: Driver | None = None):
         self.body, self.source = body, source
         self._driver = driver
         self._lock = threading.Lock()

@@ -19,7 +19,7 @@ from .ordering import progressive_order
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Look:
+class StillLook:
     """N Gaussians of an avatar in its canonical pose, and what a pose does to them.
 
     tier: the one it was taken from. points: (N, 3) metres. colors: (N, 3) in [0, 1]. scales, spacing: (N,) metres.
@@ -48,7 +48,7 @@ class Look:
     def __len__(self) -> int:
         return len(self.points)
 
-    def thinned(self, count: int) -> Look:
+    def thinned(self, count: int) -> StillLook:
         """With the first `count` Gaussians of the progressive order, each grown as the gaps ask for; as it is where it
         has no more. Raises WrongValue for fewer than one."""
         if count < 1:
@@ -67,8 +67,8 @@ class Look:
         )  # fmt: skip
 
 
-def read_look(avatar: Avatar, tier: str | None = None, player: str = "page") -> Look:
-    """The look of an avatar with all Gaussians of its bundle; see `Look`.
+def read_look(avatar: Avatar, tier: str | None = None, player: str = "page") -> StillLook:
+    """The look of an avatar with all Gaussians of its bundle; see `StillLook`.
 
     tier: one that is linear, None for the best of these that the bundle holds, or for the only look of an avatar that
     has one for all poses. player: what will play it, for notes. Raises WrongValue for another tier, and for a bundle
@@ -90,7 +90,7 @@ def read_look(avatar: Avatar, tier: str | None = None, player: str = "page") -> 
     built, pose = build_tier(tier or played[0], Parts(avatar.bundle, surface, maps)), _relaxed(avatar)
     still, residual = cast(LinearTier, built).linear() if linear else (built(pose), None)
     points, colors, scales = (np.array(array) for array in still)
-    return Look(
+    return StillLook(
         avatar.name, tier or played[0], points, colors, scales, point_spacing(surface).astype(np.float32),
         surface.joint_index, surface.joint_weight, avatar.joint_names, surface.parents, surface.joints,
         invert_rigid(surface.A_canonical)[:, :3], pose, avatar.pixel, None if residual is None else dict(residual),

@@ -22,7 +22,7 @@ from .. import splatting_rule as rule
 from ..decoding.detail import SPREAD
 from ..tiers.members import BLENDSHAPE
 from ..values.motion import Motion
-from .look import Look
+from .look import StillLook
 from .ordering import progressive_order
 
 MAGIC = b"GAVATWEB"
@@ -65,7 +65,7 @@ class _Blocks:
         return {"block": len(self.made) - 1, "layout": layout}
 
 
-def pack(look: Look, motions: Sequence[Motion]) -> Packed:
+def pack(look: StillLook, motions: Sequence[Motion]) -> Packed:
     """motions: fitted to the body, the first one plays at the start; their names are told apart already."""
     blocks = _Blocks()
     head = _look(look, blocks)
@@ -106,7 +106,7 @@ def _chunks(count: int) -> list[tuple[int, int]]:
     return list(zip(starts, np.diff([*starts, count]).tolist(), strict=True))
 
 
-def _look(look: Look, blocks: _Blocks) -> dict[str, Any] | None:
+def _look(look: StillLook, blocks: _Blocks) -> dict[str, Any] | None:
     """Of the residual: how many parts and groups of four bases it has, and the arrays that weigh them."""
     if look.residual is None:
         return None
@@ -134,7 +134,7 @@ class _Points:
     bounds: dict[str, Any]
 
     @classmethod
-    def of(cls, look: Look, head: dict[str, Any] | None) -> _Points:
+    def of(cls, look: StillLook, head: dict[str, Any] | None) -> _Points:
         order = progressive_order(look.points)
         low, high = look.points.min(0).astype(np.float64), look.points.max(0).astype(np.float64)
         least, most = float(look.scales.min()), float(look.scales.max())

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gavatar_runtime.errors import MissingFile, UserError
-from gavatar_runtime.live.sources import Source
+from gavatar_runtime.live.sources import LivePictures
 
 cv2 = pytest.importorskip("cv2", reason="reads cameras and clips")
 os.environ.setdefault(
@@ -37,7 +37,7 @@ def read_all(source):
 
 
 def test_a_clip_comes_as_fast_as_it_is_shown(clip):
-    source = Source(str(clip))
+    source = LivePictures(str(clip))
     start = perf_counter()
     found = read_all(source)
     assert perf_counter() - start >= 9 / 50 - 0.001
@@ -52,7 +52,7 @@ def test_a_clip_comes_as_fast_as_it_is_shown(clip):
 
 
 def test_overdue_frames_are_left_out(clip):
-    source = Source(str(clip))
+    source = LivePictures(str(clip))
     source.read()
     source._start -= 0.1  # five frames late
     image, time = source.read()
@@ -63,7 +63,7 @@ def test_overdue_frames_are_left_out(clip):
 
 
 def test_a_clip_begins_again(clip):
-    source = Source(str(clip))
+    source = LivePictures(str(clip))
     read_all(source)
     assert source.again()
     assert source.read()[0].mean() < 5
@@ -75,7 +75,7 @@ def test_one_frame(tmp_path):
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30, (64, 48))
     writer.write(np.zeros((48, 64, 3), np.uint8))
     writer.release()
-    source = Source(str(path))
+    source = LivePictures(str(path))
     assert len(read_all(source)) == 1
     source.close()
 
@@ -85,22 +85,22 @@ def test_no_video(tmp_path, data, capfd):
     path = tmp_path / "notes.mp4"
     path.write_bytes(data)
     with pytest.raises(UserError, match=r"notes\.mp4 cannot be read as a video") as caught:
-        Source(str(path))
+        LivePictures(str(path))
     assert "\n" not in str(caught.value)
     assert capfd.readouterr() == ("", "")
 
 
 def test_no_file_and_no_camera(tmp_path, capfd):
     with pytest.raises(MissingFile, match=r"`drive=gone.mp4` is no camera's number and no file"):
-        Source("gone.mp4")
+        LivePictures("gone.mp4")
     with pytest.raises(MissingFile):
-        Source(str(tmp_path))
+        LivePictures(str(tmp_path))
     with pytest.raises(UserError, match="camera 99 gives no picture"):
-        Source("99")
+        LivePictures("99")
     assert capfd.readouterr() == ("", "")
 
 
 def test_without_opencv(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(UserError, match=r"gavatar\[video\]"):
-        Source("0")
+        LivePictures("0")

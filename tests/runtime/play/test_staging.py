@@ -17,7 +17,7 @@ from gavatar_runtime.decoding.detail import uv_for_size
 from gavatar_runtime.errors import UserError, WrongValue
 from gavatar_runtime.formats.camera_file import read_camera
 from gavatar_runtime.play.framing import frame_motion, size_on_screen
-from gavatar_runtime.play.staging import Clip, Level, View, color_from, differing
+from gavatar_runtime.play.staging import Clip, Level, Shot, color_from, differing
 from gavatar_runtime.values.camera import Camera, look_at
 
 pytest.importorskip("onnx", reason="the hand-made networks need onnx")
@@ -82,7 +82,7 @@ def test_the_size_not_given_is_as_long_as_what_is(static):
     avatar, motion = Avatar(static), still(2)
 
     def size(**given):
-        (camera, other) = View(**given).cameras(avatar, motion)
+        (camera, other) = Shot(**given).cameras(avatar, motion)
         assert camera is other
         return camera.width, camera.height
 
@@ -100,30 +100,30 @@ def test_a_direction_is_a_name_or_degrees(static, camera, azimuth):
     avatar, motion = Avatar(static), still(2)
     framed = frame_motion(avatar, motion, 64, 64, azimuth=azimuth)
     np.testing.assert_array_equal(
-        View(size=64, camera=camera).cameras(avatar, motion)[0].T_camera_world, framed.T_camera_world
+        Shot(size=64, camera=camera).cameras(avatar, motion)[0].T_camera_world, framed.T_camera_world
     )
 
 
 def test_a_stored_camera_keeps_its_size_unless_another_is_asked_for(static):
     avatar, motion, file = Avatar(static), still(2), f"{DEMO / 'cameras.json'}:cam1"
-    read = View(camera=file).cameras(avatar, motion)[0]
-    given = View(camera=read_camera(file)).cameras(avatar, motion)[0]
+    read = Shot(camera=file).cameras(avatar, motion)[0]
+    given = Shot(camera=read_camera(file)).cameras(avatar, motion)[0]
     for camera in (read, given):
         assert (camera.width, camera.height, camera.fx) == (256, 256, read_camera(file).fx)
         np.testing.assert_array_equal(camera.T_camera_world, read_camera(file).T_camera_world)
-    smaller = View(camera=file, width=64, height=32).cameras(avatar, motion)[0]
+    smaller = Shot(camera=file, width=64, height=32).cameras(avatar, motion)[0]
     assert (smaller.width, smaller.height) == (64, 32)
 
 
 def test_an_orbit_goes_once_round_in_the_clip_or_in_its_seconds(static):
     avatar, motion = Avatar(static), still(8, fps=4)
-    whole = View(size=16, orbit=True).cameras(avatar, motion)
-    half = View(size=16, orbit=4.0).cameras(avatar, motion)  # two seconds of the four
+    whole = Shot(size=16, orbit=True).cameras(avatar, motion)
+    half = Shot(size=16, orbit=4.0).cameras(avatar, motion)  # two seconds of the four
     assert len(whole) == len(half) == 8
     np.testing.assert_allclose(whole[2].T_camera_world, half[4].T_camera_world, atol=1e-12)  # one matrix product
     np.testing.assert_allclose(whole[0].position[1], whole[4].position[1], atol=1e-12)
     assert np.linalg.norm(whole[0].position - whole[4].position) > 1  # the other side
-    assert len({id(c) for c in View(size=16, orbit=None).cameras(avatar, motion)}) == 1
+    assert len({id(c) for c in Shot(size=16, orbit=None).cameras(avatar, motion)}) == 1
 
 
 @settings(max_examples=30)
@@ -137,32 +137,32 @@ def test_a_background_can_be_given_in_numbers(color):
     ("text", "color"), [("white", (1, 1, 1)), ("#00ff80", (0, 1, 128 / 255)), ("Black", (0, 0, 0))]
 )
 def test_a_background_can_be_named(text, color):
-    assert color_from(text) == View(background=text).color == color
+    assert color_from(text) == Shot(background=text).color == color
 
 
 # how they are decoded
 
 
 def test_the_level_of_detail_goes_by_the_size_in_the_images(fine):
-    motion, view = still(2), View(size=96)
+    motion, view = still(2), Shot(size=96)
     avatar = Level(uv="auto").open(fine, Clip(), view, motion)
     body = Avatar(fine, tier=None)
     assert avatar.uv == uv_for_size(body.surface, size_on_screen(body, motion, view.cameras(body, motion))) < 160
     assert len(avatar) < len(body)
-    assert Level(uv="auto").open(fine, Clip(), View(size=4096), motion).uv == 160  # large: all there are
+    assert Level(uv="auto").open(fine, Clip(), Shot(size=4096), motion).uv == 160  # large: all there are
 
 
 def test_a_budget_opens_an_avatar_that_adapts(static):
-    avatar = Level(budget_ms=5, threads=1).open(read_bundle(static), Clip(), View(), still(2))
+    avatar = Level(budget_ms=5, threads=1).open(read_bundle(static), Clip(), Shot(), still(2))
     assert isinstance(avatar, AdaptiveAvatar)
     assert avatar.budget_s == 0.005
 
 
 def test_seen_only_is_refused_where_nothing_can_be_left_out(static):
     with pytest.raises(WrongValue, match="`seen_only`: tier full has nothing to leave out"):
-        Level(seen_only=True).open(read_bundle(static), Clip(), View(), still(2))
+        Level(seen_only=True).open(read_bundle(static), Clip(), Shot(), still(2))
     with pytest.raises(WrongValue, match=r"`seen_only`: .*leave `reuse` out"):
-        Level(seen_only=True, reuse=2).open(read_bundle(static), Clip(), View(), still(2))
+        Level(seen_only=True, reuse=2).open(read_bundle(static), Clip(), Shot(), still(2))
 
 
 def test_the_rate_of_the_clip_chooses_a_tier_unless_decodes_are_reused(tmp_path):
@@ -170,9 +170,9 @@ def test_the_rate_of_the_clip_chooses_a_tier_unless_decodes_are_reused(tmp_path)
     write_bundle(tmp_path / "a.gavatar", dataclasses.replace(manifest(), tiers=tiers), members())
     measured = read_bundle(tmp_path / "a.gavatar")
     with pytest.raises(UserError, match="unknown tier 'faster'"):  # it is described, and not in there
-        Level().open(measured, Clip(fps=30), View(), still(2))
+        Level().open(measured, Clip(fps=30), Shot(), still(2))
     for level, clip in ((Level(reuse=2), Clip(fps=30)), (Level(), Clip()), (Level(tier="full"), Clip(fps=30))):
-        assert level.open(measured, clip, View(), still(2)).tier == "full"
+        assert level.open(measured, clip, Shot(), still(2)).tier == "full"
 
 
 # what is refused, and what is not the default
@@ -184,15 +184,15 @@ def test_the_rate_of_the_clip_chooses_a_tier_unless_decodes_are_reused(tmp_path)
         (Clip, {"fps": 0}, "`fps=0`: give a positive number"),
         (Clip, {"fps": float("nan")}, "`fps=nan`"),
         (Clip, {"seconds": float("inf")}, "`seconds=inf`"),
-        (View, {"size": 0}, "`size=0`: give a whole number from 1 up"),
-        (View, {"width": 2.5}, "`width=2.5`"),
-        (View, {"height": True}, "`height=True`"),
-        (View, {"size": 8193}, "`size=8193`: at most 8192"),
-        (View, {"orbit": -1.0}, "`orbit=-1`"),
-        (View, {"background": "mauve"}, "`background=mauve`: give white"),
-        (View, {"background": (1, 2, 3)}, "between 0 and 1"),
-        (View, {"background": (0.0, 1.0)}, "between 0 and 1"),
-        (View, {"background": "nan,0,0"}, "between 0 and 1"),
+        (Shot, {"size": 0}, "`size=0`: give a whole number from 1 up"),
+        (Shot, {"width": 2.5}, "`width=2.5`"),
+        (Shot, {"height": True}, "`height=True`"),
+        (Shot, {"size": 8193}, "`size=8193`: at most 8192"),
+        (Shot, {"orbit": -1.0}, "`orbit=-1`"),
+        (Shot, {"background": "mauve"}, "`background=mauve`: give white"),
+        (Shot, {"background": (1, 2, 3)}, "between 0 and 1"),
+        (Shot, {"background": (0.0, 1.0)}, "between 0 and 1"),
+        (Shot, {"background": "nan,0,0"}, "between 0 and 1"),
         (Level, {"min_psnr": -1}, "`min_psnr=-1`"),
         (Level, {"target_fps": 0}, "`target_fps=0`"),
         (Level, {"budget_ms": float("nan")}, "`budget_ms=nan`"),
@@ -215,13 +215,13 @@ def test_a_wrong_value_is_refused_at_once_by_its_keyword(kind, given, message):
 @pytest.mark.parametrize("camera", ["behind", "nan", "1e9", "", None])
 def test_an_unknown_camera_is_refused_with_the_choices(static, camera):
     with pytest.raises(WrongValue, match=r"unknown camera .*choose from: back, front, left, right"):
-        View(camera=camera).cameras(Avatar(static), still(1))
+        Shot(camera=camera).cameras(Avatar(static), still(1))
 
 
 def test_the_values_that_differ_are_named_even_where_they_cannot_be_compared():
-    assert differing(View()) == differing(Clip()) == differing(Level()) == []
+    assert differing(Shot()) == differing(Clip()) == differing(Level()) == []
     camera = Camera(4, 4, 4.0, 4.0, 2.0, 2.0, look_at((0, 0, 3), (0, 0, 0)))
-    view = View(size=3, camera=camera, background=np.array([0.0, 0.5, 1.0]))
+    view = Shot(size=3, camera=camera, background=np.array([0.0, 0.5, 1.0]))
     assert differing(view) == ["size", "camera", "background"]
     assert view.color == (0, 0.5, 1)
     assert differing(Level(reuse=2, tier="full")) == ["tier", "reuse"]

@@ -15,7 +15,7 @@ from gavatar_runtime.geometry.kinematics import joint_transforms, skinning_trans
 from gavatar_runtime.motions import read_motion
 from gavatar_runtime.tiers.blendshape import Coefficients
 from gavatar_runtime.values.motion import Motion
-from gavatar_runtime.web.look import Look, read_look
+from gavatar_runtime.web.look import StillLook, read_look
 from gavatar_runtime.web.page import PLAYER, script
 
 pytest.importorskip("onnx", reason="the hand-made networks need onnx")
@@ -27,7 +27,7 @@ CLOSE = 1e-5  # float32 sums of a few hundred numbers near 1
 
 
 @pytest.fixture(scope="module")
-def look(tmp_path_factory) -> Look:
+def look(tmp_path_factory) -> StillLook:
     return read_look(Avatar(read_bundle(write_tiered(tmp_path_factory.mktemp("node") / "t.gavatar")), tier=None))
 
 
@@ -45,7 +45,7 @@ def run(tmp_path, code: str, **given) -> list:
     return json.loads(done.stdout)
 
 
-def joints_of(look: Look) -> dict:
+def joints_of(look: StillLook) -> dict:
     return {"names": look.joint_names, "parents": look.parents.tolist(), "rest": look.rest, "inverse": look.inverse}
 
 

@@ -12,7 +12,7 @@ from web_reading import arrays_of, points_of, read_bin
 from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.bundle import read_bundle
 from gavatar_runtime.motions import read_motion
-from gavatar_runtime.web.look import Look, read_look
+from gavatar_runtime.web.look import StillLook, read_look
 from gavatar_runtime.web.ordering import progressive_order
 from gavatar_runtime.web.web_data import pack
 
@@ -27,11 +27,11 @@ def body(tmp_path_factory) -> Avatar:
 
 
 @pytest.fixture(scope="module")
-def look(body) -> Look:
+def look(body) -> StillLook:
     return read_look(body)
 
 
-def packed(look: Look, *motions) -> tuple[dict, list[bytes]]:
+def packed(look: StillLook, *motions) -> tuple[dict, list[bytes]]:
     return read_bin(pack(look, motions).to_bytes())
 
 

@@ -115,7 +115,7 @@ class Walk(MotionSource):
 
 
 @MOTIONS.register("run", config=RunOptions, summary="runs, in place or ahead; loops")
-class Run(Walk):
+class Running(Walk):
     """Runs towards +z, both feet off the floor between steps; see `Walk`."""
 
     gait, name = RUN, "run"
