@@ -46,7 +46,7 @@ class Conversion(abc.ABC):
         """Write it whole or not at all. UserError for what cannot be converted or written."""
 
 
-CONVERSIONS: Registry[Conversion] = Registry("conversion")
+CONVERSIONS: Registry[Conversion] = Registry("conversion", base=Conversion)
 
 
 def find_conversion(path: str | os.PathLike, name: str | None = None) -> Component[Conversion]:
@@ -120,7 +120,4 @@ def _told_apart(fitted: list[tuple[Motion, tuple[str, ...]]], notes: list[str]) 
 
 
 def _suffixes(component: Component[Conversion]) -> tuple[str, ...]:
-    factory = component.factory
-    if not (isinstance(factory, type) and issubclass(factory, Conversion)):
-        raise TypeError(f"conversion '{component.name}' of {component.origin} is no class derived from Conversion")
-    return factory.suffixes
+    return tuple(component.kind.suffixes)  # of a class derived from Conversion: the registry takes nothing else
