@@ -22,6 +22,7 @@ from gavatar_runtime.geometry.spacing import evenly_spaced
 from gavatar_runtime.tiers import player_tiers
 
 from .capture.capture import View
+from .evaluation.close_ups import close_ups
 from .evaluation.result import Evaluation
 from .evaluation.scores import Evaluator
 from .face import TrainedRun, open_run, train
@@ -117,6 +118,7 @@ def _evaluate(out: Path) -> dict[str, Evaluation]:
 
 
 FIT_STEPS = 40
+CLOSE_UP_PIXELS = 320
 
 
 def _play(bundle: Path, motion: str, out: Path) -> dict:
@@ -195,7 +197,8 @@ def screen(result: DemoResult) -> str:
 
 
 def summary_picture(evaluations: dict[str, Evaluation], plays: dict[str, dict], path: Path) -> None:
-    """Footage, baseline, +opt, +opt+dyn and error on held-out frames and other cameras, then the playback."""
+    """Footage, baseline, +opt, +opt+dyn and error on held-out frames and other cameras; face, hand, hem and back from
+    near by in a pose that was held out; then the playback."""
     run = evaluations["+opt+dyn"].run
     capture = run.capture
     held_out = capture.views(HELD_OUT)
@@ -204,7 +207,7 @@ def summary_picture(evaluations: dict[str, Evaluation], plays: dict[str, dict], 
     columns = [_column(view, run, evaluators) for view in views]
     footage = np.concatenate(columns, 1)
     strips = [_video_strip(Path(report["output"]), footage.shape[1]) for report in plays.values()]
-    picture = np.concatenate([footage, *strips])
+    picture = np.concatenate([footage, _close_up_row(run, held_out[len(held_out) // 2], footage.shape[1]), *strips])
     with atomic(path) as temporary:
         cv2.imwrite(str(temporary), np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8)[..., ::-1])
 
@@ -217,6 +220,14 @@ def _column(view: View, run: Run, evaluators: dict[str, Evaluator]) -> np.ndarra
     cells = {f"footage {view}": target, **renders}
     cells["error of the last"] = error_map(target, list(renders.values())[-1])
     return np.concatenate([_captioned(image, text) for text, image in cells.items()])
+
+
+def _close_up_row(run: Run, view: View, width: int) -> np.ndarray:
+    """`close_ups` in the true pose of a view in one row of the given width."""
+    assert run.capture.truth is not None  # as in `_summary`
+    pictures = close_ups(run, run.capture.truth, view.frame, CLOSE_UP_PIXELS)
+    row = np.concatenate([_captioned(image, f"near by: {title}") for title, image in pictures.items()], 1)
+    return cv2.resize(row, (width, round(len(row) * width / row.shape[1])), interpolation=cv2.INTER_AREA)
 
 
 def _captioned(image: np.ndarray, text: str) -> np.ndarray:
