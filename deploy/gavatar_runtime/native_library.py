@@ -17,7 +17,7 @@ from . import splatting_rule as rules
 from .cpus import usable_cpus
 from .errors import UserError
 
-ABI_VERSION = 4
+ABI_VERSION = 5
 MOST_THREADS = 256  # as in pool.cpp
 LIBRARY = Path(__file__).with_name("_gavatar_native" + {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so"))
 
@@ -106,6 +106,8 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "gv_sparse_product": (_I, [_L, _I, _I] + [_P] * 5),
     "gv_resize": (_I, [_I, _I, _I, _P, _I, _I, _P]),
     "gv_resize8": (_I, [_I, _I, _I, _P, _I, _I, _P]),
+    "gv_jpeg_most": (_L, [_I, _I]),
+    "gv_jpeg": (_L, [_I, _I, _P, _I, _P]),
 }
 
 

@@ -6,7 +6,7 @@
 // - linear blend skinning with its gradients, and attributes of Gaussians from blendshapes or by
 //   upsampling;
 // - SSIM with its gradient, and sparse products, for training;
-// - resizing of images;
+// - resizing of images, and JPEG files of them;
 // - which instruction set and how many threads do the work (gv_isa*, gv_threads).
 //
 // Arrays lie in host memory, C-contiguous, float32 where no other type is named. What is written
@@ -27,7 +27,7 @@
 #define GV_API extern "C"
 #endif
 
-#define GV_ABI_VERSION 4
+#define GV_ABI_VERSION 5
 
 enum { GV_DONE = 0, GV_OUT_OF_MEMORY = -1, GV_OUT_OF_RANGE = -2 };
 
@@ -169,3 +169,8 @@ GV_API int32_t gv_resize(int32_t height, int32_t width, int32_t channels, const 
                          int32_t new_height, int32_t new_width, float* out);
 GV_API int32_t gv_resize8(int32_t height, int32_t width, int32_t channels, const uint8_t* image,
                           int32_t new_height, int32_t new_width, uint8_t* out);
+// An image (H, W, 3) as a JPEG file, baseline, 4:4:4, with a quality from 1 to 100. `out` has room
+// for gv_jpeg_most bytes. Both return a number of bytes, or what functions that can fail return.
+GV_API int64_t gv_jpeg_most(int32_t height, int32_t width);
+GV_API int64_t gv_jpeg(int32_t height, int32_t width, const uint8_t* pixels, int32_t quality,
+                       uint8_t* out);

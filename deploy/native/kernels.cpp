@@ -3,6 +3,7 @@
 // linker might share with the baseline must not contain this file's instructions.
 #include "blend-inl.h"
 #include "blend_backward-inl.h"
+#include "jpeg-inl.h"
 #include "kernels.h"
 #include "project-inl.h"
 #include "project_backward-inl.h"
@@ -35,6 +36,7 @@ const Kernels GV_TABLE = {
     GV_NAMESPACE::ssim_scratch_floats,
     GV_NAMESPACE::ssim_plane,
     GV_NAMESPACE::sparse_product,
+    GV_NAMESPACE::jpeg_line,
 };
 
 }  // namespace gv

@@ -129,6 +129,20 @@ struct BackwardTileJob {
   void* scratch;   // (scratch_bytes)
 };
 
+// The code of a symbol of JPEG, in the lowest bits.
+struct JpegCode {
+  uint16_t bits, length;
+};
+struct JpegCodes {
+  JpegCode first[12], rest[256];  // of mean brightness by size; of the rest by zeros << 4 | size
+};
+struct JpegImage {
+  const uint8_t* pixels;  // (H, W, 3)
+  int32_t height, width;
+  JpegCodes codes[2];    // luminance, colour
+  float factors[2][64];  // of a coefficient, in the zigzag order
+};
+
 struct Kernels {
   size_t scratch_bytes;  // that a tile's job needs, forward or backward
   void (*project)(const Projection*, Bins*, int64_t begin, int64_t end);
@@ -161,6 +175,8 @@ struct Kernels {
   bool (*sparse_product)(int64_t begin, int64_t end, int32_t channels, int32_t rows,
                          const int32_t* offset, const int32_t* index, const float* weight,
                          const float* table, float* out);
+  // Codes the line of blocks from pixel row y on; the end of what it wrote.
+  uint8_t* (*jpeg_line)(const JpegImage*, int32_t y, uint8_t* to);
 };
 
 }  // namespace gv

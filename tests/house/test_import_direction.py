@@ -15,8 +15,7 @@ from places import ROOT
 RUNTIME, LIBRARY, PLUGINS = ROOT / "deploy" / "gavatar_runtime", ROOT / "gavatar", ROOT / "gavatar_plugins"
 RUNTIME_MAY_IMPORT = {"numpy", "onnxruntime", "gavatar_runtime"}
 # OpenCV is optional there: these try it
-MAY_TRY_OPENCV = {RUNTIME / "play" / "outputs" / name for name in ("video_encoder.py", "contact_sheet.py")}
-MAY_TRY_OPENCV |= {RUNTIME / "view" / name for name in ("frame_encoding.py", "drive.py")}
+MAY_TRY_OPENCV = {RUNTIME / "play" / "outputs" / "video_encoder.py", RUNTIME / "view" / "drive.py"}
 MAY_TRY_OPENCV |= {RUNTIME / "live" / name for name in ("sources.py", "camera_pictures.py")}
 UNSAFE_MODULES = {"pickle", "cPickle", "dill", "joblib", "shelve", "marshal"}
 EXCEPTIONS_OF_PICKLE = {"UnpicklingError", "PickleError"}  # what torch.load raises, even with weights_only=True

@@ -8,12 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from ... import native_library as nl
 from ...errors import UserError, WrongValue
 from ...formats.files import atomic, temporary_beside
+from ...formats.jpeg import jpeg
 from ...formats.png import write_png
 from ...render.pixels import to_bytes
 from .output import OUTPUTS, FrameFormat, ImageOutput
-from .video_encoder import INSTALL
+
+QUALITY = 95  # of 100
 
 
 @dataclasses.dataclass
@@ -73,13 +76,11 @@ class ContactSheet(ImageOutput):
 
 
 def _jpeg_writer(path: Path) -> Callable[[Path, np.ndarray], None]:
-    try:
-        import cv2
-    except ImportError:
-        raise UserError(f"{path}: to write a .jpg takes OpenCV ({INSTALL}); a .png does not") from None
+    usable, reason = nl.available()
+    if not usable:
+        raise UserError(f"{path}: to write a .jpg takes the native kernel ({reason}); a .png does not")
 
     def write(temporary: Path, image: np.ndarray) -> None:
-        if not cv2.imwrite(str(temporary), image[..., ::-1]):
-            raise OSError("is the disk full?")
+        temporary.write_bytes(jpeg(image, QUALITY))
 
     return write

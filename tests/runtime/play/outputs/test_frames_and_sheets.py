@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gavatar_runtime import native_library
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.play.outputs import FrameFormat, open_output
 
@@ -77,14 +78,20 @@ def test_without_opencv_and_ffmpeg_a_video_is_refused_with_both_remedies_and_the
     frames = FrameFormat(1, 16, 16)
     with pytest.raises(UserError, match=r"a\.mp4: .*pip install 'gavatar\[video\]'.*ffmpeg on the PATH.*\.png"):
         open_output(tmp_path / "a.mp4", frames)
-    with pytest.raises(UserError, match=r"a\.jpg: .*pip install 'gavatar\[video\]'.*\.png"):
-        open_output(tmp_path / "a.jpg", frames)
     assert list(tmp_path.iterdir()) == []
-    for name in ("frames", "sheet.png"):
+    names = ["frames", "sheet.png"] + ["sheet.jpg"] * native_library.available()[0]
+    for name in names:
         output = open_output(tmp_path / name, frames)
         output.add(np.full((16, 16, 3), 7, np.uint8))
         output.close()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["frames", "sheet.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
+
+
+def test_without_the_kernel_a_jpg_is_refused_with_the_reason(tmp_path, monkeypatch):
+    monkeypatch.setattr(native_library, "available", lambda: (False, "it was not compiled"))
+    with pytest.raises(UserError, match=r"a\.jpg: .*native kernel \(it was not compiled\).*\.png"):
+        open_output(tmp_path / "a.jpg", FrameFormat(1, 16, 16))
+    assert list(tmp_path.iterdir()) == []
 
 
 # names of the frames, and options of a sheet
