@@ -15,9 +15,9 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.motions.fitting import EXPRESSIONS, HAND_DATA, fit_motion
 from gavatar_runtime.notes import Note
 from gavatar_runtime.values.body import BodyData
-from gavatar_runtime.values.surface import Surface
+from gavatar_runtime.values.surface import Atlas
 
-from .avatar.points import check_resolution, sample_surface
+from .avatar.atlas import check_resolution, sample_atlas
 from .avatar.trainable import Avatar, AvatarConfig
 from .body.skeleton import Skeleton
 from .capture.capture import Capture
@@ -82,16 +82,16 @@ def capture_on_body(capture: Capture, data: BodyData) -> Capture:
 
 @dataclasses.dataclass
 class AvatarBuild:
-    """An untrained avatar and what it stands on. surface(R) samples the body's atlas at R x R texels, cached."""
+    """An untrained avatar and what it stands on. atlas(R) samples the body's atlas at R x R texels, cached."""
 
     body: Body
     betas: np.ndarray | None
     avatar: Avatar
-    canonical: dict[int, Surface] = dataclasses.field(default_factory=dict)
+    canonical: dict[int, Atlas] = dataclasses.field(default_factory=dict)
 
-    def surface(self, resolution: int) -> Surface:
+    def atlas(self, resolution: int) -> Atlas:
         if resolution not in self.canonical:
-            self.canonical[resolution] = sample_surface(self.body.data, self.betas, resolution)
+            self.canonical[resolution] = sample_atlas(self.body.data, self.betas, resolution)
         return self.canonical[resolution]
 
     def reshape(self, betas: np.ndarray) -> None:
@@ -103,7 +103,7 @@ class AvatarBuild:
 
     def encoder_tensors(self, poses: np.ndarray) -> list[torch.Tensor]:
         """What the avatar's encoder looks at of (B, J, 3) axis-angle poses, on the avatar's device."""
-        surface, names = self.surface(self.avatar.encoder.map_size), tuple(self.avatar.encoder_traits.inputs)
+        surface, names = self.atlas(self.avatar.encoder.map_size), tuple(self.avatar.encoder_traits.inputs)
         arrays = pose_inputs(surface, np.asarray(poses, np.float32), names)
         return [torch.from_numpy(array).to(self.avatar.features.device) for array in arrays]
 

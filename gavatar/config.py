@@ -14,7 +14,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from gavatar_runtime.errors import UserError
 
-from .avatar.points import check_resolution
+from .avatar.atlas import check_resolution
 from .avatar.trainable import AvatarConfig
 from .losses import loss_config
 from .registry import BODIES, DECODERS, ENCODERS, RASTERIZERS, fill_config_store, load_plugins

@@ -18,7 +18,7 @@ from gavatar_runtime.errors import Faults
 from gavatar_runtime.values.body import BodyData
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.gaussians import Gaussians, Rendering
-from gavatar_runtime.values.surface import Surface
+from gavatar_runtime.values.surface import Atlas, Surface
 
 from .attributes import Decoder, Encoder
 from .avatar.trainable import Avatar
@@ -107,8 +107,8 @@ class TierSource(Protocol):
         """Those of them that the still look is the mean of."""
         raise NotImplementedError
 
-    def surface_at(self, uv: int) -> Surface:
-        """The body sampled at uv x uv texels."""
+    def surface_at(self, uv: int) -> Atlas:
+        """The body sampled at uv x uv texels of its atlas."""
         raise NotImplementedError
 
     def features(self, poses: np.ndarray) -> Tensor:

@@ -32,9 +32,10 @@ import numpy as np
 from .errors import MissingFile, UserError, cannot_read
 from .formats.bounded import arrays_of_npz, read_zipped
 from .formats.files import atomic
+from .geometry.ordering import progressive_rank
 from .values.array_rules import Rule, checked
 from .values.body import Hands
-from .values.surface import SURFACE_RULES, Surface
+from .values.surface import ATLAS_RULES, Atlas
 from .version import __version__
 
 FORMAT = "gavatar"
@@ -156,7 +157,7 @@ class Bundle:
                 f"{self.path}: {member} is not a readable .npz ({cause}); export the avatar again"
             ) from error
 
-    def surfaces(self) -> tuple[Surface, Surface | None]:
+    def surfaces(self) -> tuple[Atlas, Atlas | None]:
         """Where the Gaussians sit, and the surface of the encoder's positional map (None for a static avatar).
 
         What playing does not need is not stored: there `face` is -1, `barycentric` and `spacing` are NaN; so are the
@@ -220,7 +221,7 @@ def write_bundle(path: str | os.PathLike, manifest: Manifest, members: Mapping[s
     return manifest
 
 
-def pack_surfaces(gaussians: Surface, encoder_map: Surface | None = None, map_normals: bool = False) -> bytes:
+def pack_surfaces(gaussians: Atlas, encoder_map: Atlas | None = None, map_normals: bool = False) -> bytes:
     """surface.npz: arrays `gaussians_*` and, for a dynamic avatar, `map_*`, of what playing needs of each surface:
     resolution, texel, points, joint_index, joint_weight, joints, parents, A_canonical (see `Surface`). Normals of the
     Gaussians are stored too, as float16, where they are known. map_normals: those of the map too, for an encoder that
@@ -274,18 +275,18 @@ def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
 _PACKED = ("resolution", "texel", "points", "joint_index", "joint_weight", "joints", "parents", "A_canonical")
 
 
-def _pack_surface(surface: Surface, prefix: str) -> dict[str, np.ndarray]:
+def _pack_surface(surface: Atlas, prefix: str) -> dict[str, np.ndarray]:
     arrays = {name: np.asarray(getattr(surface, name)) for name in _PACKED}
     if surface.num_joints <= 256:
         arrays["joint_index"] = arrays["joint_index"].astype(np.uint8)
     return {prefix + name: array for name, array in arrays.items()}
 
 
-_STORED_RULES = {name: rule for name, rule in SURFACE_RULES.items() if name in _PACKED}
+_STORED_RULES = {name: rule for name, rule in ATLAS_RULES.items() if name in _PACKED}
 _STORED_RULES["normals"] = Rule(("N", 3), low=-2, high=2, optional=True)
 
 
-def _unpack_surface(arrays: Mapping[str, np.ndarray], prefix: str, source: str) -> Surface:
+def _unpack_surface(arrays: Mapping[str, np.ndarray], prefix: str, source: str) -> Atlas:
     known = checked(arrays, _STORED_RULES, source, prefix=prefix)
     texel, side = known["texel"], int(known["resolution"])
     count = len(texel)
@@ -296,8 +297,9 @@ def _unpack_surface(arrays: Mapping[str, np.ndarray], prefix: str, source: str) 
         "barycentric": nan,
         "normals": nan,
         "spacing": nan[:, 0],
+        "rank": progressive_rank(known["points"]),
     }
-    return Surface(**{**left_out, **known, "resolution": side})
+    return Atlas(**{**left_out, **known, "resolution": side})
 
 
 def _write_member(file: zipfile.ZipFile, name: str, data: bytes) -> None:

@@ -10,7 +10,7 @@ from gavatar_runtime.geometry.kinematics import moved_rest
 from gavatar_runtime.values.body import BodyData
 from gavatar_runtime.values.surface import Surface
 
-from .points import interpolate
+from .on_body import interpolate
 
 
 def at_points(body: BodyData, surface: Surface, directions: np.ndarray) -> np.ndarray:

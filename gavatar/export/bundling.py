@@ -140,7 +140,7 @@ def with_needs(names: Sequence[str], run: Run) -> list[str]:
 def sample(run: Run, uv: int | None = None) -> Sampled:
     """The run on the points of an atlas of side `uv`, by default the one it was trained at."""
     uv = run.uv if uv is None else uv
-    return Sampled(placed(dataclasses.replace(run, uv=uv), run.built.surface(uv)))
+    return Sampled(placed(dataclasses.replace(run, uv=uv), run.built.atlas(uv)))
 
 
 def drop(sampled: Sampled, progress: bool = False) -> Sampled:

@@ -17,8 +17,9 @@ from gavatar_runtime.geometry.spacing import evenly_spaced
 from gavatar_runtime.progress import shown
 from gavatar_runtime.tiers.blendshape import Coefficients, pose_input, turn_input
 from gavatar_runtime.values.body import SMPL_BODY_JOINTS
-from gavatar_runtime.values.surface import Surface
+from gavatar_runtime.values.surface import Atlas, Surface
 
+from ..avatar.atlas import MIN_RESOLUTION
 from ..protocols import TierSource
 from .tier_source import joint_of_points, upsampling
 
@@ -43,7 +44,7 @@ def distil(
     what weights of these come closest to the full model there, where else it would guess.
     """
     rank = -(-rank // 4) * 4
-    residuals = _Residuals(source, source.surface_at(min(uv, source.surface.resolution)))
+    residuals = _Residuals(source, _coarse(source, uv))
     coarse, poses = residuals.surface, np.concatenate([source.train_poses, source.random_poses(samples)])
     # numbered on the coarse surface, which is the whole body: the fine one may lack parts that no camera saw
     joint, fine_joint = joint_of_points(coarse), joint_of_points(source.surface)
@@ -68,10 +69,18 @@ def distil(
     return {k: v.astype(np.float32) if v.dtype == np.float64 else v for k, v in arrays.items()}
 
 
+def _coarse(source: TierSource, uv: int) -> Atlas:
+    """The body at side `uv` of its atlas, or at one with about as many points as the bundle where that has fewer."""
+    coarse, count = source.surface_at(uv), len(source.surface)
+    if len(coarse) <= count:
+        return coarse
+    return source.surface_at(max(MIN_RESOLUTION, round(uv * (count / len(coarse)) ** 0.5)))
+
+
 class _Residuals:
     """What poses change of the still look on a coarse surface, (M, 7) each, in units of what the eye sees alike."""
 
-    def __init__(self, source: TierSource, surface: Surface):
+    def __init__(self, source: TierSource, surface: Atlas):
         self.source, self.surface = source, surface
         self._mean = source.mean(surface)
 
@@ -139,7 +148,7 @@ def bases_by_part(residuals: np.ndarray, part: np.ndarray, rank: int) -> tuple[n
 
 
 def _mixing(
-    coarse: Surface, fine: Surface, joint: np.ndarray, fine_joint: np.ndarray, owners: np.ndarray
+    coarse: Atlas, fine: Surface, joint: np.ndarray, fine_joint: np.ndarray, owners: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Part (N,) of each fine point, numbers (N, 4) and weights (N, 4) of the coarse points that it takes bases from."""
     index, mixing = upsampling(coarse, fine)

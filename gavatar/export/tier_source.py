@@ -12,7 +12,7 @@ import torch
 
 from gavatar_runtime.geometry.spacing import evenly_spaced
 from gavatar_runtime.values.body import SMPL_BODY_JOINTS
-from gavatar_runtime.values.surface import Surface
+from gavatar_runtime.values.surface import Atlas, Surface
 
 from ..avatar.trainable import Avatar
 from ..avatar.uv_sampling import bilinear
@@ -57,8 +57,8 @@ class AvatarSource(TierSource):
     def surface(self) -> Surface:
         return self.run.avatar.surface
 
-    def surface_at(self, uv: int) -> Surface:
-        return self.run.built.surface(uv)
+    def surface_at(self, uv: int) -> Atlas:
+        return self.run.built.atlas(uv)
 
     @functools.cached_property
     def train_poses(self) -> np.ndarray:
@@ -139,7 +139,7 @@ def joint_of_points(surface: Surface) -> np.ndarray:
     return body[strongest]
 
 
-def upsampling(coarse: Surface, fine: Surface) -> tuple[np.ndarray, np.ndarray]:
+def upsampling(coarse: Atlas, fine: Surface) -> tuple[np.ndarray, np.ndarray]:
     """index (N, 4) int32 and weight (N, 4) float32 of coarse points for each fine one: bilinear over the atlas, without
     texels that carry no point or one on another part of the body; there the nearest coarse point in space serves."""
     from scipy.spatial import cKDTree

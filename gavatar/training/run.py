@@ -136,7 +136,7 @@ def open_run(
         raise UserError(f"{directory / STAGE_FILES[number]} does not fit {CONFIG} or the capture: {cause}") from None
     if number == 1:
         built.avatar.encoder = None
-    built.avatar.sample_at(built.surface(state["uv"]))
+    built.avatar.sample_at(built.atlas(state["uv"]))
     built.avatar.eval()
     for parameter in [*built.avatar.parameters(), *motion.parameters()]:
         parameter.requires_grad_(False)

@@ -66,7 +66,7 @@ class Scene:
 
     def place(self, uv: int) -> None:
         """Have the avatar's Gaussians on the points of the body's atlas of side `uv`."""
-        surface = self.built.surface(uv)
+        surface = self.built.atlas(uv)
         if not self.avatar.placed or self.avatar.surface is not surface:
             self.avatar.sample_at(surface)
 

@@ -116,7 +116,7 @@ class Stage:
             return
         frames = scene.frames_of(self.rows)
         cameras = [scene.footage.capture.camera(scene.views[row]) for row in self.rows]
-        surface = scene.built.surface(encoder.map_size)
+        surface = scene.built.atlas(encoder.map_size)
         seen = facing_texels(surface, scene.motion.motion(), frames, cameras).to(scene.device)
         encoder.prepare(surface, seen, *scene.encoder_inputs(frames))
 

@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gavatar.avatar.points import check_resolution
+from gavatar.avatar.atlas import check_resolution
 from gavatar.registry import ENCODERS, EncoderTraits
 from gavatar_runtime.decoding.pose_inputs import input_shapes
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.values.body import SMPL_BODY_JOINTS
-from gavatar_runtime.values.surface import Surface
+from gavatar_runtime.values.surface import Atlas
 
 GAIN = 5.0  # of the parameters, so that a rate which suits a network's weights suits the maps
 # what a surface that scatters evenly returns of light of degree 2 beside degree 1 (Ramamoorthi & Hanrahan 2001, eq. 9)
@@ -80,7 +80,7 @@ class LinearEncoder(nn.Module):
             self.register_buffer("components", torch.zeros(9 * J, J * K))
 
     @torch.no_grad()
-    def prepare(self, surface: Surface, seen: Tensor, *inputs: Tensor) -> None:
+    def prepare(self, surface: Atlas, seen: Tensor, *inputs: Tensor) -> None:
         """Take components, means and bounds from the training views. surface: of the maps. seen: (V, M, M) bool, the
         texels that each view shows. inputs: those of `self.inputs` in every view."""
         given = dict(zip(self.inputs, inputs, strict=True))
@@ -166,7 +166,7 @@ def joint_distances(parents: np.ndarray, count: int) -> np.ndarray:
     return np.array([[steps(a, b) for b in chains] for a in chains])
 
 
-def _carried(surface: Surface) -> Tensor:
+def _carried(surface: Atlas) -> Tensor:
     """(22, M, M) skinning weights over the atlas; fingers and face count to the body joint they hang from."""
     body = np.arange(surface.num_joints)
     for joint in range(SMPL_BODY_JOINTS, surface.num_joints):

@@ -10,8 +10,8 @@ import torch
 from official_bodies import dressed_free_body, write_npz
 
 from gavatar.attributes import Attributes
+from gavatar.avatar.atlas import sample_atlas
 from gavatar.avatar.blendshapes import at_points, expression_of, pose_blendshapes_of
-from gavatar.avatar.points import sample_surface
 from gavatar.avatar.torch_skinning import dense_weights
 from gavatar.avatar.trainable import Avatar, AvatarConfig, Pose
 from gavatar.body.official_files import FAMILIES, read_body
@@ -45,7 +45,7 @@ def body(case, folder):
 @pytest.fixture(scope="module", params=["face", "whole body", "pose blendshapes"])
 def scene(request, tmp_path_factory):
     data = body(request.param, tmp_path_factory.mktemp("model"))
-    return data, sample_surface(data, BETAS, 96)
+    return data, sample_atlas(data, BETAS, 96)
 
 
 def theirs(data, surface, poses, expression):
@@ -143,7 +143,7 @@ def at_vertices(data):
     posed, _ = data.posed(data.canonical_pose(), BETAS)
     count = len(posed)
     return dataclasses.replace(
-        sample_surface(data, BETAS, 64), texel=np.arange(count, dtype=np.int32), uv=np.zeros((count, 2), np.float32),
+        sample_atlas(data, BETAS, 64), texel=np.arange(count, dtype=np.int32), uv=np.zeros((count, 2), np.float32),
         face=face.astype(np.int32), barycentric=np.eye(3, dtype=np.float32)[corner], points=posed.astype(np.float32),
         joint_index=order.astype(np.int32), joint_weight=(weight / weight.sum(1, keepdims=True)).astype(np.float32),
         spacing=np.ones(count, np.float32), normals=np.zeros((count, 3), np.float32),

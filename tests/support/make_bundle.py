@@ -16,7 +16,7 @@ from places import BODY_FILE
 from gavatar_runtime.bundle import Manifest, pack_body, pack_surfaces, write_bundle
 from gavatar_runtime.values.body import BodyData
 from gavatar_runtime.values.motion import Motion
-from gavatar_runtime.values.surface import Surface
+from gavatar_runtime.values.surface import Atlas
 
 OPSET = 17
 ENCODER_GAIN, DECODER_GAIN = 2.0, 0.01
@@ -33,7 +33,7 @@ def free_body() -> BodyData:
     )  # fmt: skip
 
 
-def surface_of(body: BodyData, count: int, resolution: int) -> Surface:
+def surface_of(body: BodyData, count: int, resolution: int) -> Atlas:
     """`count` centres of triangles spread over the mesh; their texels are made up (0, 1, 2, ...)."""
     faces = body.faces[np.linspace(0, len(body.faces) - 1, count).astype(int)]
     _, joints = body.shaped(None)
@@ -45,7 +45,7 @@ def surface_of(body: BodyData, count: int, resolution: int) -> Surface:
     weights = body.lbs_weights[faces].mean(1)
     index = np.argsort(-weights, 1)[:, :4]
     weight = np.take_along_axis(weights, index, 1)
-    return Surface(
+    return Atlas(
         resolution=resolution,
         texel=np.arange(count, dtype=np.int32),
         uv=np.zeros((count, 2), np.float32),
@@ -56,6 +56,7 @@ def surface_of(body: BodyData, count: int, resolution: int) -> Surface:
         joint_index=index.astype(np.int32),
         joint_weight=(weight / weight.sum(1, keepdims=True)).astype(np.float32),
         spacing=np.full(count, SCALE, np.float32),
+        rank=np.arange(count, dtype=np.int32),
         joints=np.asarray(joints, np.float64),
         parents=np.asarray(body.parents, np.int32),
         A_canonical=body.skinning(canonical).astype(np.float64),

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from official_bodies import dressed_free_body, write_npz
 
+from gavatar.avatar.atlas import sample_atlas
 from gavatar.avatar.blendshapes import expression_of
-from gavatar.avatar.points import sample_surface
 from gavatar.body.official_files import FAMILIES, read_body
 from gavatar_runtime.geometry.skinning import skin
 from gavatar_runtime.render.choice import build_rasterizer
@@ -73,7 +73,7 @@ def write_smplx_capture(folder: Path, data, size: int = 192, frames: int = 6, jo
     """`frames` views of the person; with joints=52 body.npz holds the same poses in SMPL-H's order (no face); with
     `face` the expression changes too, and body.npz says so."""
     poses, trans = hand_motion(data, frames)
-    surface, view = sample_surface(data, BETAS, 256), camera(size)
+    surface, view = sample_atlas(data, BETAS, 256), camera(size)
     for kind in ("images", "masks"):
         (folder / kind / "cam0").mkdir(parents=True)
     rasterizer, expression = build_rasterizer(), expressions(frames) if face else None

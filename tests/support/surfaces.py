@@ -6,10 +6,10 @@ import functools
 
 import numpy as np
 
-from gavatar.avatar.points import sample_surface
+from gavatar.avatar.atlas import sample_atlas
 from gavatar_plugins.bodies.free import load_free_body
 from gavatar_runtime.values.body import BodyData
-from gavatar_runtime.values.surface import Surface
+from gavatar_runtime.values.surface import Atlas
 
 # float32 holds a coordinate of 2 m to 1.2e-7; a few roundings of such coordinates are summed
 FLOAT32_METRES = 2e-6
@@ -17,8 +17,8 @@ BETAS = np.array([1.0, -0.5, 0.3, 0, 0, 0, 0, 0, 0, 2.0])
 
 
 @functools.cache
-def free_surface(resolution: int, betas: tuple | None = None, order: str = "morton") -> Surface:
-    return sample_surface(load_free_body(), betas, resolution, order=order)
+def free_surface(resolution: int, betas: tuple | None = None, order: str = "morton") -> Atlas:
+    return sample_atlas(load_free_body(), betas, resolution, order=order)
 
 
 def patch_body(uv, faces=((0, 1, 2),), vertices=None, uv_faces=None, lbs_weights=None) -> BodyData:
@@ -46,7 +46,7 @@ def random_poses(count: int, scale: float = 0.5) -> np.ndarray:
     return np.random.default_rng(7).normal(0, scale, (count, load_free_body().num_joints, 3))
 
 
-def blend_in_float64(surface: Surface, poses: np.ndarray) -> np.ndarray:
+def blend_in_float64(surface: Atlas, poses: np.ndarray) -> np.ndarray:
     """(N, 3) linear blend skinning of the canonical points, written out densely with a general matrix inverse."""
     body = load_free_body()
     transforms = body.skinning(poses) @ np.linalg.inv(body.skinning(body.canonical_pose()))
@@ -56,7 +56,7 @@ def blend_in_float64(surface: Surface, poses: np.ndarray) -> np.ndarray:
     return np.einsum("nj,jab,nb->na", weights, transforms, homogeneous)[:, :3]
 
 
-def atlas_place(surface: Surface, body: BodyData) -> np.ndarray:
+def atlas_place(surface: Atlas, body: BodyData) -> np.ndarray:
     """(N, 2) where face and barycentric weights lie in the atlas, as (x, y) in texels, y down."""
     corners = body.uv.astype(np.float64)[body.uv_faces[surface.face]]
     uv = np.einsum("nc,ncd->nd", surface.barycentric.astype(np.float64), corners)

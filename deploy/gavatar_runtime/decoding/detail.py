@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import WrongValue
-from ..values.surface import Surface
+from ..values.surface import Atlas
 
 MIN_UV = 64
 SPREAD = 0.35  # of the spacing: the deviation of an even patch is 0.29 of its side, and below 0.35 holes show at uv 128
@@ -13,7 +13,7 @@ WORTH = 0.9  # of the atlas's side: above, leaving Gaussians out saves less than
 PIXELS_PER_GAUSSIAN = 0.8  # of the person's height to the atlas's side, below which a coarser one is enough
 
 
-def thinned(surface: Surface, uv: int) -> tuple[np.ndarray, np.ndarray]:
+def thinned(surface: Atlas, uv: int) -> tuple[np.ndarray, np.ndarray]:
     """Which of a surface's Gaussians stand for it at side `uv` of the atlas, (M,) ascending, and the variance that each
     gains, (M,) square metres (`grown`): one Gaussian for each cell of the coarser atlas that holds any, the one nearest
     to its centre.
@@ -40,7 +40,7 @@ def grown(scales: np.ndarray, added: np.ndarray) -> np.ndarray:
     return np.sqrt(np.square(scales) + added)
 
 
-def point_spacing(surface: Surface) -> np.ndarray:
+def point_spacing(surface: Atlas) -> np.ndarray:
     """(N,) metres from a point to its neighbours in the atlas, geometric mean of right and down; beside the rim of a
     chart, and where a neighbour is on another, the median of all."""
     R = surface.resolution
@@ -57,12 +57,12 @@ def point_spacing(surface: Surface) -> np.ndarray:
     return np.sqrt(steps[0] * steps[1])
 
 
-def uv_for_size(surface: Surface, pixels: float) -> int:
+def uv_for_size(surface: Atlas, pixels: float) -> int:
     """A side of the atlas that is enough for a person `pixels` tall: one Gaussian a pixel or so."""
     return int(np.clip(np.rint(pixels / PIXELS_PER_GAUSSIAN), MIN_UV, surface.resolution))
 
 
-def uv_for_count(surface: Surface, count: int) -> int:
+def uv_for_count(surface: Atlas, count: int) -> int:
     """The largest side of the atlas that keeps at most `count` of a surface's Gaussians. Raises WrongValue for fewer
     than the coarsest level keeps."""
     low, high = MIN_UV, surface.resolution

@@ -14,7 +14,7 @@ from ..errors import UserError
 from ..geometry.rotations import matrix_from_axis_angle
 from ..geometry.skinning import skin
 from ..values.body import SMPL_BODY_JOINTS
-from ..values.surface import Surface
+from ..values.surface import Atlas
 from .uv_maps import normal_map, positional_map, root_relative_transforms, turning_transforms
 
 
@@ -42,9 +42,9 @@ class InputKind:
     """shape: of one pose's. compute: from the surface of the maps and poses (..., J, 3), float32."""
 
     shape: Shape
-    compute: Callable[[Surface, np.ndarray], np.ndarray]
+    compute: Callable[[Atlas, np.ndarray], np.ndarray]
 
-    def __call__(self, surface: Surface, poses: np.ndarray) -> np.ndarray:
+    def __call__(self, surface: Atlas, poses: np.ndarray) -> np.ndarray:
         """(..., *shape) float32."""
         return self.compute(surface, poses)
 
@@ -71,7 +71,7 @@ def input_shape(name: str, size: int) -> tuple[int, ...]:
     return tuple(size if isinstance(side, str) else side for side in INPUTS[name].shape)
 
 
-def pose_inputs(surface: Surface, poses: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, ...]:
+def pose_inputs(surface: Atlas, poses: np.ndarray, names: Sequence[str]) -> tuple[np.ndarray, ...]:
     """The named inputs of poses (..., J, 3), float32, in the order of the names; maps are of `surface`'s resolution."""
     return tuple(INPUTS[name](surface, poses) for name in names)
 
@@ -80,7 +80,7 @@ class PoseInput:
     """One named input of one pose after another, (1, ...), by the compiled kernel where it is; the next call fills the
     same array again. The same numbers as `pose_inputs`, to rounding."""
 
-    def __init__(self, name: str, surface: Surface):
+    def __init__(self, name: str, surface: Atlas):
         self._name, self._surface = name, surface
         self._map = np.zeros((1, 3, surface.resolution, surface.resolution), np.float32)
         self._skinned = np.empty((len(surface), 3), np.float32)

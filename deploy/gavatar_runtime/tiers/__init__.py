@@ -20,7 +20,7 @@ from ..decoding.residuals import Attributes
 from ..errors import UserError, WrongValue
 from ..plugins import load_entry_points
 from ..values.array_rules import ADVICE
-from ..values.surface import Surface
+from ..values.surface import Atlas
 from .members import OUTPUTS, ArrayMember
 
 
@@ -31,8 +31,8 @@ class Parts:
     all. added: the variance, square metres, that each of those gains (`detail.thinned`)."""
 
     bundle: Bundle
-    surface: Surface
-    map_surface: Surface | None
+    surface: Atlas
+    map_surface: Atlas | None
     threads: int | None = None
     chosen: np.ndarray | None = None
     added: np.ndarray | None = None

@@ -216,3 +216,10 @@ def all_different(values: np.ndarray) -> str:
     """That no two entries are the same."""
     found, counts = np.unique(values, return_counts=True)
     return f"holds '{found[np.argmax(counts)]}' {counts.max()} times" if (counts > 1).any() else ""
+
+
+def a_permutation(values: np.ndarray) -> str:
+    """That every number from 0 up to their count is there once."""
+    if np.array_equal(np.sort(values), np.arange(len(values))):
+        return ""
+    return f"is no order of {len(values)} things: a place is given twice"

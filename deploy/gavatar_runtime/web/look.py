@@ -12,10 +12,10 @@ from ..avatar.pose_blendshapes import MEMBER as POSE_BLENDSHAPES
 from ..decoding.detail import SPREAD, grown, point_spacing
 from ..errors import WrongValue
 from ..geometry.kinematics import invert_rigid
+from ..geometry.ordering import progressive_order
 from ..motions.builtin import relaxed_pose
 from ..tiers import LinearTier, Parts, build_tier, player_tiers, stored_tiers
 from ..values.motion import Motion
-from .ordering import progressive_order
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

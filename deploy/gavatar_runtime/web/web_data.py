@@ -3,7 +3,7 @@
 `avatar.bin` is MAGIC, the header's length (uint32, little endian), the header (JSON) and the blocks one after another.
 The header's `blocks` has the size of each; whatever lies in a block is listed beside its number as a `layout`: name,
 kind (`f4`, `u1`, `i1`, `u2`, `i4`: little endian), shape and offset. Gaussians come in chunks whose texels fill whole
-rows of a texture WIDTH wide, in `ordering.progressive_order`: each chunk makes the whole avatar denser.
+rows of a texture WIDTH wide, in `geometry.ordering.progressive_order`: each chunk makes the whole avatar denser.
 
 Positions and scales are 16-bit numbers between the bounds in the header, colours, skinning weights and spacings 8-bit.
 """
@@ -20,10 +20,10 @@ import numpy as np
 
 from .. import splatting_rule as rule
 from ..decoding.detail import SPREAD
+from ..geometry.ordering import progressive_order
 from ..tiers.members import BLENDSHAPE
 from ..values.motion import Motion
 from .look import StillLook
-from .ordering import progressive_order
 
 MAGIC = b"GAVATWEB"
 VERSION = 1

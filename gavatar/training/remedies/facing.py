@@ -9,12 +9,12 @@ from torch import Tensor
 from gavatar_runtime.decoding.uv_maps import normal_map
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.motion import Motion
-from gavatar_runtime.values.surface import Surface
+from gavatar_runtime.values.surface import Atlas
 
 FACING = 0.1  # cosine from which on a camera is taken to see a texel; what it sees more aslant is a pixel or two wide
 
 
-def facing_texels(surface: Surface, motion: Motion, frames: list[int], cameras: list[Camera]) -> Tensor:
+def facing_texels(surface: Atlas, motion: Motion, frames: list[int], cameras: list[Camera]) -> Tensor:
     """(V, R, R) bool: the texels that face the camera in each of V views, a frame of `motion` by a camera each.
 
     The camera is taken to be far: one direction serves the whole body. Texels behind a limb count as seen."""

@@ -40,7 +40,7 @@ def built():
     filmed = open_capture(demo())
     node = {"name": "mlp", "widths": [16], "skip": -1, "head_width": 8, "anisotropic": True}
     made = build_avatar({"name": "auto"}, {"name": "none"}, node, AvatarConfig(features=8, feature_size=32), filmed, 0)
-    made.avatar.sample_at(made.surface(64))
+    made.avatar.sample_at(made.atlas(64))
     motion = capture_on_body(filmed, made.body.data).truth
     return made, MotionTable(motion, made.body.data.num_joints).requires_grad_(False)
 

@@ -13,12 +13,12 @@ def test_an_avatar_sampled_elsewhere_is_what_it_would_be_there_and_stays_where_i
     features = pose_features(avatar, built, tiered_run.motion.motion().poses[:2])
     with torch.no_grad():
         before = avatar.attributes(features)
-        there = avatar.sampled(built.surface(96))
+        there = avatar.sampled(built.atlas(96))
         twin = there.attributes(features)
         after = avatar.attributes(features)
     assert avatar.surface is here
-    assert there.surface is built.surface(96)
-    assert twin.offsets.shape == (2, len(built.surface(96)), 3)
+    assert there.surface is built.atlas(96)
+    assert twin.offsets.shape == (2, len(built.atlas(96)), 3)
     for a, b in ((before.offsets, after.offsets), (before.colors, after.colors), (before.scales, after.scales)):
         assert torch.equal(a, b)
     with torch.no_grad():  # and back: the same numbers, to the last bit
@@ -28,7 +28,7 @@ def test_an_avatar_sampled_elsewhere_is_what_it_would_be_there_and_stays_where_i
 
 def test_twins_share_their_parameters_and_nothing_that_is_of_their_points(tiered_run):
     avatar = tiered_run.avatar
-    twin = avatar.sampled(tiered_run.built.surface(96))
+    twin = avatar.sampled(tiered_run.built.atlas(96))
     own = dict(avatar.named_parameters())
     assert all(parameter is own[name] for name, parameter in twin.named_parameters())
     assert len(twin.points) != len(avatar.points)

@@ -13,8 +13,8 @@ from smplx_capture import expressions, hand_motion, write_smplx_capture, write_s
 from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.assemble import build_body, capture_on_body
+from gavatar.avatar.atlas import sample_atlas
 from gavatar.avatar.blendshapes import expression_of
-from gavatar.avatar.points import sample_surface
 from gavatar.avatar.trainable import Pose
 from gavatar.capture.opening import open_capture
 from gavatar.capture.placement import Placement
@@ -341,7 +341,7 @@ def test_captures_of_the_free_body_need_no_files(tmp_path, monkeypatch):
 
 def test_the_canonical_surface_carries_the_canonical_pose_blendshapes(models):
     data = models[1]
-    surface = sample_surface(data, None, 64)
+    surface = sample_atlas(data, None, 64)
     corners = data.faces[surface.face]
     offsets = data.pose_offsets(data.canonical_pose())
     assert np.abs(offsets).max() > 5e-4

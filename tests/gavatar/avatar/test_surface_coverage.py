@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from surfaces import FLOAT32_METRES, atlas_place, free_surface, patch_body
 
-from gavatar.avatar.points import sample_surface
+from gavatar.avatar.atlas import sample_atlas
 from gavatar_plugins.bodies.free import load_free_body
 from gavatar_runtime.errors import UserError
 
@@ -59,7 +59,7 @@ def test_both_sides_of_every_seam_have_samples_nearer_than_without_the_rim():
 
 
 def test_one_triangle_covers_the_texels_that_it_touches():
-    surface = sample_surface(patch_body([[0, 0], [1, 0], [0, 1]]), None, 64)
+    surface = sample_atlas(patch_body([[0, 0], [1, 0], [0, 1]]), None, 64)
     row, col = np.divmod(surface.texel, 64)
     below = col <= row  # the diagonal u + v = 1 runs from the top left to the bottom right
     beside = col == row + 1  # these touch the triangle in a corner of their square alone
@@ -72,29 +72,29 @@ def test_one_triangle_covers_the_texels_that_it_touches():
 
 def test_spacing_follows_the_ratio_of_area_in_space_to_area_in_the_atlas():
     uv = np.array([[0.1, 0.1], [0.7, 0.2], [0.3, 0.9]])
-    surface = sample_surface(patch_body(uv, vertices=np.pad(uv * [3, 12], ((0, 0), (0, 1)))), None, 100)
+    surface = sample_atlas(patch_body(uv, vertices=np.pad(uv * [3, 12], ((0, 0), (0, 1)))), None, 100)
     np.testing.assert_allclose(surface.spacing, 6 / 100, rtol=1e-5)  # sqrt(3 x 12) m a unit of uv; uv is float32
 
 
 def test_winding_in_the_atlas_does_not_matter():
     uv = [[0.1, 0.1], [0.8, 0.2], [0.3, 0.9]]
-    one, other = (sample_surface(patch_body(uv, faces=[face]), None, 64) for face in ((0, 1, 2), (0, 2, 1)))
+    one, other = (sample_atlas(patch_body(uv, faces=[face]), None, 64) for face in ((0, 1, 2), (0, 2, 1)))
     assert np.array_equal(one.texel, other.texel)
     np.testing.assert_allclose(one.points, other.points, atol=FLOAT32_METRES)
 
 
 def test_where_triangles_overlap_the_lowest_face_wins():
     square = [[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9]]
-    surface = sample_surface(patch_body(square, faces=[(0, 1, 2), (1, 2, 3), (0, 1, 2)]), None, 64)
+    surface = sample_atlas(patch_body(square, faces=[(0, 1, 2), (1, 2, 3), (0, 1, 2)]), None, 64)
     assert set(surface.face) == {0, 1}
-    alone = sample_surface(patch_body(square, faces=[(0, 1, 2)]), None, 64)
+    alone = sample_atlas(patch_body(square, faces=[(0, 1, 2)]), None, 64)
     inside = alone.texel[alone.barycentric.min(1) > 0]
     assert np.all(surface.face[np.isin(surface.texel, inside)] == 0)
 
 
 def test_two_triangles_leave_no_gap_along_their_edge():
     square = [[0, 0], [1, 0], [1, 1], [0, 1]]
-    surface = sample_surface(patch_body(square, faces=[(0, 1, 2), (0, 2, 3)]), None, 65)
+    surface = sample_atlas(patch_body(square, faces=[(0, 1, 2), (0, 2, 3)]), None, 65)
     assert len(surface) == 65 * 65
     assert np.all(np.bincount(surface.face) > 65 * 64 // 2 - 1)
 
@@ -103,7 +103,7 @@ def test_two_triangles_leave_no_gap_along_their_edge():
 def test_a_degenerate_uv_triangle_carries_no_texel(flat):
     uv = [*flat, [0.1, 0.1], [0.9, 0.1], [0.1, 0.9]]
     vertices = np.random.default_rng(0).normal(size=(6, 3))
-    surface = sample_surface(patch_body(uv, faces=[(0, 1, 2), (3, 4, 5)], vertices=vertices), None, 64)
+    surface = sample_atlas(patch_body(uv, faces=[(0, 1, 2), (3, 4, 5)], vertices=vertices), None, 64)
     assert set(surface.face) == {1}
     assert np.all(np.isfinite(surface.spacing))
 
@@ -111,40 +111,40 @@ def test_a_degenerate_uv_triangle_carries_no_texel(flat):
 def test_a_face_without_area_in_space_carries_no_texel():
     uv = [[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9]]
     vertices = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0.5, 0.5, 0]]
-    surface = sample_surface(patch_body(uv, faces=[(0, 2, 3), (0, 1, 2)], vertices=vertices), None, 64)
+    surface = sample_atlas(patch_body(uv, faces=[(0, 2, 3), (0, 1, 2)], vertices=vertices), None, 64)
     assert set(surface.face) == {1}
 
 
 def test_parts_of_the_atlas_outside_the_unit_square_are_left_out():
-    surface = sample_surface(patch_body([[-5, -5], [6, -5], [0.5, 6]]), None, 64)
+    surface = sample_atlas(patch_body([[-5, -5], [6, -5], [0.5, 6]]), None, 64)
     assert len(surface) == 64 * 64
 
 
 def test_an_empty_atlas_is_the_user_s_error():
     with pytest.raises(UserError, match="body 'patch': its UV atlas covers no texel"):
-        sample_surface(patch_body([[0.5, 0.5]] * 3), None, 64)
+        sample_atlas(patch_body([[0.5, 0.5]] * 3), None, 64)
     with pytest.raises(UserError, match="covers no texel"):
-        sample_surface(patch_body([[0, 0], [1, 0], [0, 1]], faces=np.zeros((0, 3), int)), None, 64)
+        sample_atlas(patch_body([[0, 0], [1, 0], [0, 1]], faces=np.zeros((0, 3), int)), None, 64)
     with pytest.raises(UserError, match="covers no texel"):  # all of it beside the unit square
-        sample_surface(patch_body([[2, 2], [3, 2], [2, 3]]), None, 64)
+        sample_atlas(patch_body([[2, 2], [3, 2], [2, 3]]), None, 64)
 
 
 @pytest.mark.parametrize("resolution", [0, -64, 63, 1025, 128.0, "128", None, True])
 def test_a_bad_resolution_is_the_user_s_error(resolution):
     with pytest.raises(UserError, match="whole number from 64 to 1024"):
-        sample_surface(load_free_body(), None, resolution)
+        sample_atlas(load_free_body(), None, resolution)
 
 
 def test_a_numpy_integer_is_a_resolution():
-    assert sample_surface(load_free_body(), None, np.int64(64)).resolution == 64
+    assert sample_atlas(load_free_body(), None, np.int64(64)).resolution == 64
 
 
 def test_an_unknown_order_names_the_nearest():
     with pytest.raises(UserError, match="did you mean 'morton'"):
-        sample_surface(load_free_body(), None, 64, order="mortn")
+        sample_atlas(load_free_body(), None, 64, order="mortn")
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_betas_must_be_finite(bad):
     with pytest.raises(UserError, match="betas hold NaN or infinity"):
-        sample_surface(load_free_body(), [0, bad], 64)
+        sample_atlas(load_free_body(), [0, bad], 64)

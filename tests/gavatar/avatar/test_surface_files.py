@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from surfaces import BETAS, free_surface
 
-from gavatar.avatar.points import default_cache_dir, sample_surface
+from gavatar.avatar.atlas import sample_atlas
+from gavatar.avatar.surface_cache import default_cache_dir
 from gavatar_plugins.bodies.free import load_free_body
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.formats.surface_file import load_surface, save_surface
@@ -66,9 +67,9 @@ def test_unreadable_files_are_the_user_s_error(tmp_path):
 
 
 def test_the_second_call_reads_the_cache(tmp_path, monkeypatch):
-    first = sample_surface(load_free_body(), BETAS, 64, cache_dir=tmp_path)
+    first = sample_atlas(load_free_body(), BETAS, 64, cache_dir=tmp_path)
     monkeypatch.setattr(BodyData, "posed", lambda *_: pytest.fail("computed again"))
-    assert same(sample_surface(load_free_body(), BETAS, 64, cache_dir=tmp_path), first)
+    assert same(sample_atlas(load_free_body(), BETAS, 64, cache_dir=tmp_path), first)
 
 
 def test_whatever_changes_the_surface_changes_its_place_in_the_cache(tmp_path):
@@ -78,15 +79,15 @@ def test_whatever_changes_the_surface_changes_its_place_in_the_cache(tmp_path):
     mirrored = dataclasses.replace(body, uv=body.uv * [-1, 1] + [1, 0])
     variants = [(body, None, 64), (body, BETAS, 64), (body, None, 65), (moved, None, 64), (renamed, None, 64)]
     for number, variant in enumerate([*variants, (mirrored, None, 64)], 1):
-        sample_surface(*variant, cache_dir=tmp_path)
+        sample_atlas(*variant, cache_dir=tmp_path)
         assert len(list(tmp_path.iterdir())) == number
-    sample_surface(body, None, 64, order="row", cache_dir=tmp_path)
+    sample_atlas(body, None, 64, order="row", cache_dir=tmp_path)
     assert len(list(tmp_path.iterdir())) == 7
 
 
 @pytest.mark.parametrize("damage", ["truncated", "flipped", "empty", "text", "another archive"])
 def test_a_damaged_cache_is_rebuilt_in_silence(tmp_path, damage, recwarn):
-    first = sample_surface(load_free_body(), None, 64, cache_dir=tmp_path)
+    first = sample_atlas(load_free_body(), None, 64, cache_dir=tmp_path)
     (path,) = tmp_path.iterdir()
     data = path.read_bytes()
     if damage == "another archive":
@@ -95,19 +96,19 @@ def test_a_damaged_cache_is_rebuilt_in_silence(tmp_path, damage, recwarn):
         middle = len(data) // 2
         flipped = data[:middle] + bytes([data[middle] ^ 255]) + data[middle + 1 :]
         path.write_bytes({"truncated": data[:middle], "flipped": flipped, "empty": b"", "text": b"hello"}[damage])
-    assert same(sample_surface(load_free_body(), None, 64, cache_dir=tmp_path), first)
+    assert same(sample_atlas(load_free_body(), None, 64, cache_dir=tmp_path), first)
     assert same(load_surface(path), first)
     assert not recwarn.list
 
 
 def test_an_unusable_cache_folder_only_costs_time(tmp_path):
     (tmp_path / "file").touch()
-    assert len(sample_surface(load_free_body(), None, 64, cache_dir=tmp_path / "file" / "below")) > 0
+    assert len(sample_atlas(load_free_body(), None, 64, cache_dir=tmp_path / "file" / "below")) > 0
 
 
 def test_the_default_cache_honours_xdg(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    sample_surface(load_free_body(), None, 64)
+    sample_atlas(load_free_body(), None, 64)
     assert len(list((tmp_path / "gavatar" / "surfaces").iterdir())) == 1
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     for value in ("", "relative/path"):

@@ -33,7 +33,7 @@ def test_limbs_and_parts_follow_the_skeleton(tiered_run):
 
 
 def test_upsampling_reproduces_a_smooth_function_on_the_body(tiered_run):
-    coarse, fine = tiered_run.built.surface(64), tiered_run.built.surface(96)
+    coarse, fine = tiered_run.built.atlas(64), tiered_run.built.atlas(96)
     index, weight = upsampling(coarse, fine)
     np.testing.assert_allclose(weight.sum(1), 1, atol=1e-5)
     got = np.einsum("nkc,nk->nc", coarse.points[index], weight)

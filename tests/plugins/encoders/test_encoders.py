@@ -9,7 +9,7 @@ import pytest
 import torch
 from make_bundle import free_body
 
-from gavatar.avatar.points import sample_surface
+from gavatar.avatar.atlas import sample_atlas
 from gavatar.registry import ENCODERS, load_plugins
 from gavatar.training.remedies.facing import facing_texels
 from gavatar_plugins.encoders.linear import GAIN, LinearConfig, LinearEncoder, harmonics, joint_distances
@@ -36,7 +36,7 @@ CHANNELS = 6
 
 @pytest.fixture(scope="module")
 def surface(tmp_path_factory):
-    return sample_surface(free_body(), None, 64, cache_dir=tmp_path_factory.mktemp("surfaces"))
+    return sample_atlas(free_body(), None, 64, cache_dir=tmp_path_factory.mktemp("surfaces"))
 
 
 def random_poses(count: int, size: float = 0.4, seed: int = 0) -> np.ndarray:

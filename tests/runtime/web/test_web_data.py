@@ -11,9 +11,9 @@ from web_reading import arrays_of, points_of, read_bin
 
 from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.bundle import read_bundle
+from gavatar_runtime.geometry.ordering import progressive_order
 from gavatar_runtime.motions import read_motion
 from gavatar_runtime.web.look import StillLook, read_look
-from gavatar_runtime.web.ordering import progressive_order
 from gavatar_runtime.web.web_data import pack
 
 pytest.importorskip("onnx", reason="the hand-made networks need onnx")

@@ -50,7 +50,7 @@ def built(capture):
 
 def posed(built, change=None):
     avatar = built.avatar
-    avatar.sample_at(built.surface(64))
+    avatar.sample_at(built.atlas(64))
     generator = torch.Generator().manual_seed(0)
     turns = 0.5 * torch.randn(2, len(avatar.skeleton.parents), 3, generator=generator)
     with torch.no_grad():
@@ -76,7 +76,7 @@ def test_a_change_of_the_shape_is_the_body_of_that_shape(built, size):
 def test_the_gradient_of_the_shape_is_right(built):
     avatar = built.avatar.double()
     built.avatar.skeleton = Skeleton(built.body.data, built.betas, torch.float64)
-    avatar.sample_at(built.surface(64))
+    avatar.sample_at(built.atlas(64))
     attributes = avatar.attributes()
     turns = matrix_from_axis_angle(0.3 * torch.ones(1, len(avatar.skeleton.parents), 3, dtype=torch.float64))
     weights = torch.randn(len(avatar.points), 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))

@@ -1,4 +1,4 @@
-"""The order in which points are stored, so that the first of them are an even sampling of all."""
+"""The progressive order of points, in which the first of them, however many, are an even sampling of all."""
 
 from __future__ import annotations
 
@@ -20,6 +20,18 @@ def progressive_order(points: np.ndarray) -> np.ndarray:
     bits = int(count - 1).bit_length()
     places = _reversed_bits(np.arange(1 << bits, dtype=np.int64), bits)
     return curve[places[places < count]]
+
+
+def progressive_rank(points: np.ndarray) -> np.ndarray:
+    """(N,) int32 the place of each of points (N, 3) in their `progressive_order`."""
+    return ranks(progressive_order(points))
+
+
+def ranks(order: np.ndarray) -> np.ndarray:
+    """(N,) int32 the place of each thing in an order (N,), a permutation: its inverse."""
+    rank = np.empty(len(order), np.int32)
+    rank[order] = np.arange(len(order), dtype=np.int32)
+    return rank
 
 
 def morton_codes(points: np.ndarray) -> np.ndarray:

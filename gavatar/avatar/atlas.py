@@ -2,54 +2,42 @@
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import inspect
 import numbers
 import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gavatar_runtime.decoding.uv_maps import positional_map
 from gavatar_runtime.errors import UserError, did_you_mean
-from gavatar_runtime.formats.surface_file import load_surface, save_surface
-from gavatar_runtime.geometry import kinematics, rotations
-from gavatar_runtime.values import body as body_module
-from gavatar_runtime.values import surface as runtime_surface
+from gavatar_runtime.geometry.ordering import progressive_rank
 from gavatar_runtime.values.body import BodyData
-from gavatar_runtime.values.surface import Surface
+from gavatar_runtime.values.surface import Atlas
 
-__all__ = [
-    "MAX_RESOLUTION", "MIN_RESOLUTION", "ORDERS", "Surface", "check_resolution", "default_cache_dir", "load_surface",
-    "positional_map", "sample_surface", "save_surface",
-]  # fmt: skip
+from .on_body import areas, on_body
+from .surface_cache import cached
 
 # At 64 the free body has 2,850 points, 26 mm apart; at 32 it would have 777, 54 mm apart, and fingers without any. At
 # 1024 it has 646,000.
 MIN_RESOLUTION, MAX_RESOLUTION = 64, 1024
-MAX_WEIGHTS = 8
 ORDERS = ("morton", "row")
 _PAIRS_AT_ONCE = 1 << 20  # (face, texel) pairs tried in one batch; some 100 MB of temporaries
 
 
-def sample_surface(
+def sample_atlas(
     body: BodyData,
     betas: np.ndarray | None,
     resolution: int,
     *,
     order: str = "morton",
     cache_dir: str | os.PathLike[str] | None = None,
-) -> Surface:
+) -> Atlas:
     """The points of a shaped body in its canonical pose, one for each valid texel (paper, section 3.1).
 
     betas: (B,) shape coefficients, or None for the mean shape. resolution: side R of the atlas, 64 to 1024 texels.
-    order: of the points; `morton` follows a Z curve over the atlas, so that points near in memory are near on the body,
-    `row` goes texel by texel. cache_dir: folder of computed surfaces, by default `default_cache_dir()`; a damaged or
-    unwritable cache is passed over in silence.
+    order: that points are stored in; `morton` follows a Z curve over the atlas, so that points near in memory are near
+    on the body, `row` goes texel by texel. cache_dir: see `surface_cache.cached`.
 
     Valid is a texel whose centre lies in a UV triangle (where triangles overlap, the lowest face wins), or beside the
     triangles but with the nearest point of one in the texel's own square: that point is then the sample, the lowest
@@ -64,14 +52,10 @@ def sample_surface(
         raise UserError(f"surface order '{order}' is unknown: {did_you_mean(str(order), ORDERS)}")
     if betas is not None and not np.all(np.isfinite(betas)):
         raise UserError("betas hold NaN or infinity: give finite shape coefficients, or none for the mean shape")
-    folder = default_cache_dir() if cache_dir is None else Path(cache_dir)
-    path = folder / f"surface-{int(resolution)}-{_fingerprint(body, betas, int(resolution), order)}.npz"
-    with contextlib.suppress(UserError):
-        return load_surface(path)
-    surface = _sample(body, betas, int(resolution), order)
-    with contextlib.suppress(UserError, OSError):
-        save_surface(path, surface)
-    return surface
+    name = f"surface-{int(resolution)}"
+    key, code = f"{resolution} {order}", Path(__file__)
+    made = cached(name, body, betas, key, code, lambda: _sample(body, betas, int(resolution), order), cache_dir)
+    return made if isinstance(made, Atlas) else _sample(body, betas, int(resolution), order)
 
 
 def check_resolution(value: Any, field: str) -> None:
@@ -83,39 +67,8 @@ def check_resolution(value: Any, field: str) -> None:
         )
 
 
-def default_cache_dir() -> Path:
-    """`$XDG_CACHE_HOME/gavatar/surfaces`, or under `~/.cache` where the variable is unset, empty or relative."""
-    base = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    if not base.is_absolute():
-        try:
-            base = Path.home() / ".cache"
-        except RuntimeError:  # a user without a home, as in some containers
-            base = Path(tempfile.gettempdir())
-    return base / "gavatar" / "surfaces"
-
-
-def _fingerprint(body: BodyData, betas: np.ndarray | None, resolution: int, order: str) -> str:
-    """Hash of everything the surface depends on, this code included."""
-    digest = hashlib.sha256(f"{resolution} {order} {' '.join(body.joint_names)}".encode())
-    for module in (body_module, kinematics, rotations, runtime_surface):
-        digest.update(Path(inspect.getfile(module)).read_bytes())
-    digest.update(Path(__file__).read_bytes())
-    shape = np.zeros(0) if betas is None else np.asarray(betas, np.float64).reshape(-1)
-    arrays = (body.v_template, body.shapedirs, body.J_regressor, body.parents, body.lbs_weights, body.faces, body.uv)
-    blendshapes = [] if body.posedirs is None else [body.posedirs]
-    for array in (shape, body.uv_faces, *arrays, *blendshapes):
-        array = np.asarray(array)
-        digest.update(f"{array.dtype}{array.shape}".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()[:32]
-
-
-def _sample(body: BodyData, betas: np.ndarray | None, resolution: int, order: str) -> Surface:
-    vertices, _ = body.posed(body.canonical_pose(), betas)
-    vertices = np.asarray(vertices, np.float64)
-    corners = vertices[body.faces]
-    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = 0.5 * np.linalg.norm(face_normals, axis=-1)
+def _sample(body: BodyData, betas: np.ndarray | None, resolution: int, order: str) -> Atlas:
+    corners, area = areas(body, betas)
     triangles = _texel_triangles(body, resolution)
     texel_area = 0.5 * np.abs(_cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]))
 
@@ -127,25 +80,15 @@ def _sample(body: BodyData, betas: np.ndarray | None, resolution: int, order: st
         )
     sorting = np.argsort(_morton(texel, resolution) if order == "morton" else texel, kind="stable")
     texel, face, barycentric = texel[sorting], face[sorting], barycentric[sorting]
-
-    joint_index, joint_weight, truncation = _blend_weights(body, face, barycentric)
-    _, joints = body.shaped(betas)
     centre = np.stack([texel % resolution, texel // resolution], -1) + 0.5
-    return Surface(
+    places = on_body(body, betas, face, barycentric)
+    return Atlas(
+        **places,
         resolution=resolution,
         texel=texel.astype(np.int32),
         uv=(centre / resolution).astype(np.float32),
-        face=face.astype(np.int32),
-        barycentric=barycentric.astype(np.float32),
-        points=interpolate(corners, face, barycentric).astype(np.float32),
-        normals=_normals(body.faces, face_normals, len(vertices), face, barycentric).astype(np.float32),
-        joint_index=joint_index,
-        joint_weight=joint_weight,
         spacing=np.sqrt(area[face] / texel_area[face]).astype(np.float32),
-        joints=np.asarray(joints, np.float64),
-        parents=np.asarray(body.parents, np.int32),
-        A_canonical=np.asarray(body.skinning(body.canonical_pose(), betas), np.float64),
-        weight_truncation=truncation,
+        rank=progressive_rank(places["points"]),
     )
 
 
@@ -236,44 +179,6 @@ def _nearest_on_rim(triangles: np.ndarray, points: np.ndarray) -> tuple[np.ndarr
     weights[rows, best] = 1 - along[rows, best]
     weights[rows, (best + 1) % 3] = along[rows, best]
     return candidates[rows, best], weights
-
-
-def interpolate(corner_values: np.ndarray, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-    """Values of the corners (F, 3, C) at points given by face (N,) and weights (N, 3) -> (N, C)."""
-    return sum(barycentric[:, i, None] * corner_values[face, i] for i in range(3))
-
-
-def _normals(
-    faces: np.ndarray, face_normals: np.ndarray, num_vertices: int, face: np.ndarray, barycentric: np.ndarray
-) -> np.ndarray:
-    """(N, 3) unit normals interpolated from vertex normals, which are the area-weighted mean of their faces' normals.
-
-    face_normals: (F, 3), twice the area long. Where the interpolated normal vanishes, the face's own is taken.
-    """
-    at_vertex: np.ndarray = np.stack(
-        [np.bincount(faces.reshape(-1), np.repeat(face_normals[:, axis], 3), num_vertices) for axis in range(3)], -1
-    )
-    at_vertex /= np.maximum(np.linalg.norm(at_vertex, axis=-1, keepdims=True), 1e-300)
-    normals = interpolate(at_vertex[faces], face, barycentric)
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    normals = np.where(length > 1e-6, normals, face_normals[face])
-    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
-
-
-def _blend_weights(body: BodyData, face: np.ndarray, barycentric: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Barycentric blend of the vertices' skinning weights: (N, K) int32, (N, K) float32, largest sum left out."""
-    corner_weights = np.asarray(body.lbs_weights, np.float64)[body.faces]
-    used = np.any(corner_weights != 0, 1)
-    # a face touches few joints: blend those alone
-    candidates = np.argsort(~used, 1, kind="stable")[:, : max(1, int(used.sum(1).max()))]
-    weights = interpolate(np.take_along_axis(corner_weights, candidates[:, None], 2), face, barycentric)
-    order = np.argsort(-weights, 1, kind="stable")
-    count = min(MAX_WEIGHTS, max(1, int(np.count_nonzero(weights, axis=1).max())))
-    weights = np.take_along_axis(weights, order, 1)
-    kept, lost = np.sum(weights[:, :count], 1), np.sum(weights[:, count:], 1)
-    weights = (weights[:, :count] / kept[:, None]).astype(np.float32)
-    index = np.where(weights > 0, np.take_along_axis(candidates[face], order[:, :count], 1), 0).astype(np.int32)
-    return index, weights, float(np.max(lost))
 
 
 def _morton(texel: np.ndarray, resolution: int) -> np.ndarray:

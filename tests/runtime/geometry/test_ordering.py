@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gavatar_runtime.web.ordering import morton_codes, progressive_order
+from gavatar_runtime.geometry.ordering import morton_codes, progressive_order
 
 
 def spread(points: np.ndarray, cells: int = 6) -> np.ndarray:
