@@ -34,6 +34,7 @@ export class LocalEngine {
     this.added.set(name, motion);
     if (!this.info.motions.includes(name)) this.info.motions.push(name);
     this.extents.delete(name);
+    this.notes = motion.notes;
     return name;
   }
 

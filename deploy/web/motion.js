@@ -2,9 +2,10 @@
 import { between, matricesFromAxisAngle } from "./pose.js";
 
 export class Motion {
-  // name: for people. fps: frames per second. poses: 3 J numbers a frame, radians. trans: 3 a frame, metres.
-  constructor({ name, fps, poses, trans, joints, loop = true }) {
-    Object.assign(this, { name, fps, poses, trans, joints, loop });
+  // name: for people. fps: frames per second. poses: 3 J numbers a frame, radians. trans: 3 a frame, metres. notes: what is
+  // odd about it.
+  constructor({ name, fps, poses, trans, joints, loop = true, notes = [] }) {
+    Object.assign(this, { name, fps, poses, trans, joints, loop, notes });
     this.count = poses.length / (3 * joints);
     if (!(fps > 0)) throw new Error(`${name}: ${fps} frames per second cannot be played`);
     if (!this.count || !Number.isInteger(this.count)) throw new Error(`${name} has no frames of ${joints} joints`);

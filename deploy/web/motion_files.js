@@ -1,8 +1,11 @@
-// Motion files dropped on the page: .npz of AMASS and the SMPL family; others are turned into one by gavatar-motion.
+// Motion files dropped on the page: .npz of AMASS and the SMPL family, and .bvh of rigs that stand as their OFFSETs draw
+// them; others are turned into an .npz by gavatar-motion.
+import { readBvh } from "./bvh_file.js";
 import { Motion } from "./motion.js";
-import { matricesFromAxisAngle } from "./pose.js";
+import { axisAngleFromQuaternion, matricesFromAxisAngle, quaternionFromAxisAngle } from "./pose.js";
+import { retargeted } from "./retarget.js";
 
-const OTHERS = "turn it into one with: gavatar-motion convert FILE motion.npz";
+const OTHERS = "turn it into an .npz with: gavatar-motion convert FILE -o motion.npz";
 const SMPL_JOINTS = [
   "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
   "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder",
@@ -14,7 +17,12 @@ export async function readMotionFile(file, body, relaxed) {
   const suffix = file.name.toLowerCase().replace(/^.*\./, ".");
   const name = file.name.replace(/\.[^.]*$/, "");
   if (suffix === ".npz") return fromArrays(name, file.name, await readNpz(file), body, relaxed);
-  throw new Error(`${file.name}: this page reads .npz motions alone; ${OTHERS}`);
+  if (suffix === ".bvh") {
+    if (SMPL_JOINTS.some((joint) => !body.names.includes(joint))) throw new Error(`${file.name}: this avatar has no joints of the SMPL family; give its motions as .npz`);
+    const bvh = readBvh(new Uint8Array(await file.arrayBuffer()), file.name);
+    return retargeted(bvh, { name, file: file.name, body, relaxed, others: OTHERS.replace("FILE", file.name) });
+  }
+  throw new Error(`${file.name}: this page reads motions of .npz and .bvh; ${OTHERS}`);
 }
 
 function fromArrays(name, file, arrays, body, relaxed) {
@@ -79,13 +87,9 @@ function upright(motion) {
 
 // A rotation after a quarter turn about x, which takes z up to y up, as axis-angle.
 function turned(axis) {
-  const angle = Math.hypot(...axis), half = angle / 2, s = angle > 1e-8 ? Math.sin(half) / angle : 0.5;
-  const [w, x, y, z] = [Math.cos(half), axis[0] * s, axis[1] * s, axis[2] * s];
+  const [w, x, y, z] = quaternionFromAxisAngle(...axis);
   const c = Math.SQRT1_2, d = -Math.SQRT1_2; // cos, and the x of the sine of -45 degrees
-  const q = [c * w - d * x, c * x + d * w, c * y - d * z, c * z + d * y];
-  const sine = Math.hypot(q[1], q[2], q[3]);
-  const scale = sine > 1e-9 ? (2 * Math.atan2(sine, q[0])) / sine : 2;
-  return [q[1] * scale, q[2] * scale, q[3] * scale];
+  return axisAngleFromQuaternion([c * w - d * x, c * x + d * w, c * y - d * z, c * z + d * y]);
 }
 
 // The arrays of an .npz: {name: {shape, data}}; those of other kinds than numbers are passed over.

@@ -29,23 +29,51 @@ export function quaternionFromAxisAngle(x, y, z) {
   return [Math.cos(angle / 2), x * s, y * s, z * s];
 }
 
-// The rotation a share t of the way from one axis-angle to another, by the shorter arc, as axis-angle.
-export function between(a, b, t) {
-  const p = quaternionFromAxisAngle(a[0], a[1], a[2]);
-  let q = quaternionFromAxisAngle(b[0], b[1], b[2]);
+// The rotation a share t of the way from one unit quaternion wxyz to another, by the shorter arc.
+export function betweenQuaternions(p, end, t) {
+  let q = end;
   let cosine = p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3];
   if (cosine < 0) { q = q.map((v) => -v); cosine = -cosine; }
   const angle = Math.acos(Math.min(1, cosine));
   const near = angle < 1e-4;
   const u = near ? 1 - t : Math.sin((1 - t) * angle) / Math.sin(angle);
   const v = near ? t : Math.sin(t * angle) / Math.sin(angle);
-  const [w, x, y, z] = [0, 1, 2, 3].map((i) => u * p[i] + v * q[i]);
+  return [0, 1, 2, 3].map((i) => u * p[i] + v * q[i]);
+}
+
+// The rotation a share t of the way from one axis-angle to another, by the shorter arc, as axis-angle.
+export function between(a, b, t) {
+  return axisAngleFromQuaternion(betweenQuaternions(quaternionFromAxisAngle(...a), quaternionFromAxisAngle(...b), t));
+}
+
+// Axis-angle, up to half a turn, of a quaternion wxyz of about length one.
+export function axisAngleFromQuaternion(q) {
+  const [w, x, y, z] = q[0] < 0 ? q.map((v) => -v) : q;
   const sine = Math.hypot(x, y, z);
-  const scale = sine > 1e-9 ? 2 * Math.atan2(sine, w) / sine : 2;
+  const scale = sine > 1e-9 ? (2 * Math.atan2(sine, w)) / sine : 2;
   return [x * scale, y * scale, z * scale];
 }
 
-function multiply3(a, i, b, j, out, k) {
+// A unit quaternion wxyz of a rotation matrix, by the largest of its four components (Shepperd).
+export function quaternionFromMatrix(m) {
+  const squares = [m[0] + m[4] + m[8], m[0] - m[4] - m[8], m[4] - m[0] - m[8], m[8] - m[0] - m[4]];
+  const best = squares.indexOf(Math.max(...squares));
+  const s = Math.sqrt(1 + squares[best]), [wx, wy, wz] = [m[7] - m[5], m[2] - m[6], m[3] - m[1]];
+  const [xy, xz, yz] = [m[1] + m[3], m[2] + m[6], m[5] + m[7]];
+  const q = [[s * s, wx, wy, wz], [wx, s * s, xy, xz], [wy, xy, s * s, yz], [wz, xz, yz, s * s]][best];
+  return q.map((v) => v / (2 * s));
+}
+
+export function matrixFromQuaternion([w, x, y, z]) {
+  return [
+    1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+    2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+    2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+  ];
+}
+
+// Of 3x3 matrices that begin at i, j and k of their arrays.
+export function multiply3(a, i, b, j, out, k) {
   for (let r = 0; r < 3; r++) {
     for (let c = 0; c < 3; c++) {
       out[k + 3 * r + c] = a[i + 3 * r] * b[j + c] + a[i + 3 * r + 1] * b[j + 3 + c] + a[i + 3 * r + 2] * b[j + 6 + c];

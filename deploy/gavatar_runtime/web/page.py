@@ -14,8 +14,9 @@ from .web_data import Packed
 FILES = "gavatar_runtime.browser"
 # in the order of their imports, so that each stands after what it needs
 PLAYER = ("pose.js", "motion.js", "data.js", "sorter.js", "splats.js", "avatar.js")
+MOTION_FILES = ("bvh_file.js", "rig_names.js", "retarget.js", "motion_files.js")
 CONTROLS = ("controls.js",)
-PAGE = (*PLAYER, "motion_files.js", *CONTROLS, "engine.js", "page.js")
+PAGE = (*PLAYER, *MOTION_FILES, *CONTROLS, "engine.js", "page.js")
 PUBLIC = (
     *("load", "Avatar", "Motion", "Skeleton", "Splats", "FileSource", "PageSource", "orbitCamera"),
     *("extent", "distanceFor", "readMotionFile", "Controls", "LocalEngine", "openPage"),
@@ -46,7 +47,7 @@ def module() -> str:
     return script(PAGE, PUBLIC)
 
 
-def page(body: str, accept: str = ".npz") -> str:
+def page(body: str, accept: str = ".npz,.bvh") -> str:
     """The page with `body` after its controls. accept: suffixes of motion files that may be added."""
     parts = {"policy": POLICY, "style": asset("page.css"), "accept": accept, "body": body}
     return re.sub(r"\{(policy|style|accept|body)\}", lambda found: parts[found[1]], asset("page.html"))

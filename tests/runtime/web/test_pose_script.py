@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import shutil
-import subprocess
 
 import numpy as np
 import pytest
+from player_script import joints_of, run
 
 from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.bundle import read_bundle
@@ -16,7 +15,6 @@ from gavatar_runtime.motions import read_motion
 from gavatar_runtime.tiers.blendshape import Coefficients
 from gavatar_runtime.values.motion import Motion
 from gavatar_runtime.web.look import StillLook, read_look
-from gavatar_runtime.web.page import PLAYER, script
 
 pytest.importorskip("onnx", reason="the hand-made networks need onnx")
 from tiered_members import write_tiered
@@ -29,24 +27,6 @@ CLOSE = 1e-5  # float32 sums of a few hundred numbers near 1
 @pytest.fixture(scope="module")
 def look(tmp_path_factory) -> StillLook:
     return read_look(Avatar(read_bundle(write_tiered(tmp_path_factory.mktemp("node") / "t.gavatar")), tier=None))
-
-
-def run(tmp_path, code: str, **given) -> list:
-    """What `return` of the code gives, in one scope with the player; `given` is an object there."""
-    text = script((*PLAYER, "motion_files.js"))
-    values = json.dumps(given, default=lambda a: np.asarray(a, np.float64).ravel().tolist())
-    path = tmp_path / "it.mjs"
-    path.write_text(
-        f"{text}\nconst given = {values};\n"
-        f"const out = await (async () => {{ {code} }})();\nconsole.log(JSON.stringify(out));"
-    )
-    done = subprocess.run(["node", str(path)], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
-def joints_of(look: StillLook) -> dict:
-    return {"names": look.joint_names, "parents": look.parents.tolist(), "rest": look.rest, "inverse": look.inverse}
 
 
 def poses() -> np.ndarray:
@@ -139,7 +119,7 @@ def test_a_dropped_file_is_what_the_player_reads(look, tmp_path, z_up):
 
 @pytest.mark.parametrize(
     ("name", "data", "said"),
-    [("m.bvh", b"HIERARCHY", "gavatar-motion convert"), ("m.npz", b"", "no whole .npz"),
+    [("m.bvh", b"HIERARCHY", "no joints of the SMPL family"), ("m.npz", b"", "no whole .npz"),
      ("m.npz", b"PK" * 99, "no whole .npz"),
      ("m.fbx", b"x", "gavatar-motion convert")],
 )  # fmt: skip
