@@ -35,6 +35,8 @@ from gavatar_runtime.geometry.rotations import matrix_from_axis_angle
 
 LEVELS = "[{until:0.65,uv:64,image:0.25},{until:1.0,uv:128,image:0.5}]"
 STATIC = ["encoder=none", "stage2.steps=0"]
+# of every run but those named `auto`: nothing is decided by what is measured
+BY_HAND = ["mask_matte=0", "exposure=false", "motion.mend=0", "motion.betas=false", "motion.start=0"]
 SPLITS = ("test", "novel_pose", "novel_view")
 
 
@@ -51,6 +53,7 @@ class Variant:
     image: float = 0.5
     prepare: Callable = lambda run: None
     run: str | None = None
+    auto: bool = False
 
 
 def batch_statistics(run) -> None:
@@ -69,6 +72,10 @@ def STUDIES() -> dict[str, list[Variant]]:
     upstream = ["decoder=upstream", "decoder.scale_warmup=50", *STATIC]
     floor = ["decoder.scale_floor=0.4", *STATIC]
     antialiased = ["rasterizer=native", "rasterizer.antialiased=true", *STATIC]
+
+    def auto(name: str, fault: str | None) -> Variant:
+        return Variant(f"{name}, auto", STATIC, fault=fault, auto=True)
+
     return {
         "batchnorm": [
             Variant("U-Net, GroupNorm", group, stage=2, run="group"),
@@ -88,7 +95,12 @@ def STUDIES() -> dict[str, list[Variant]]:
             Variant("masks too wide", STATIC, fault="wide_mask"),
             Variant("masks too wide, mask_edge 4", ["mask_edge=4", *STATIC], fault="wide_mask"),
             Variant("masks too wide, mask_matte 5", ["mask_matte=5", *STATIC], fault="wide_mask"),
-            Variant("masks too wide, both", ["mask_matte=5", "mask_edge=2", *STATIC], fault="wide_mask"),
+            auto("masks too wide", "wide_mask"),
+            Variant("masks too narrow", STATIC, fault="narrow_mask"),
+            Variant("masks too narrow, mask_matte -5", ["mask_matte=-5", *STATIC], fault="narrow_mask"),
+            auto("masks too narrow", "narrow_mask"),
+            Variant("true masks before a dark wall", STATIC, fault="dark"),
+            auto("true masks before a dark wall", "dark"),
         ],
         "unseen": [
             Variant("front only", STATIC, fault="front"),
@@ -99,8 +111,11 @@ def STUDIES() -> dict[str, list[Variant]]:
             Variant("flicker", STATIC, fault="flicker"),
             Variant("flicker, exposure", ["exposure=true", *STATIC], fault="flicker"),
             Variant("drift", STATIC, fault="drift"),
+            auto("flicker", "flicker"),
             Variant("drift, exposure", ["exposure=true", *STATIC], fault="drift"),
+            auto("drift", "drift"),
             Variant("steady, exposure", ["exposure=true", *STATIC]),
+            auto("steady", None),
         ],
         "size": [
             Variant("as trained, 256 px", STATIC, run="static"),
@@ -124,6 +139,17 @@ def wide_mask(view: View, color: np.ndarray, alpha: np.ndarray) -> tuple[np.ndar
     return color + (1 - alpha[..., None]) * DARK, cv2.dilate(alpha, disc)
 
 
+def narrow_mask(view: View, color: np.ndarray, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Filmed before something dark, cut out a few pixels too narrow."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * WIDER + 1, 2 * WIDER + 1))
+    return color + (1 - alpha[..., None]) * DARK, cv2.erode(alpha, disc)
+
+
+def dark(view: View, color: np.ndarray, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Filmed before something dark, cut out as it should be."""
+    return color + (1 - alpha[..., None]) * DARK, alpha
+
+
 def flicker(view: View, color: np.ndarray, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Brightness off by 12 % and each colour by 4 % more, another way in every frame; on white."""
     random = np.random.default_rng([view.frame, 5])
@@ -138,7 +164,13 @@ def drift(view: View, color: np.ndarray, alpha: np.ndarray) -> tuple[np.ndarray,
 
 
 # what is done to a training image (premultiplied colour, alpha), and the background that the result has
-FAULTS = {"wide_mask": (wide_mask, "footage"), "flicker": (flicker, "white"), "drift": (drift, "white")}
+FAULTS = {
+    "wide_mask": (wide_mask, "footage"),
+    "narrow_mask": (narrow_mask, "footage"),
+    "dark": (dark, "footage"),
+    "flicker": (flicker, "white"),
+    "drift": (drift, "white"),
+}
 
 
 def planted(capture: Capture, folder: Path, true_poses: bool, fault: str | None) -> Path:
@@ -212,6 +244,7 @@ def trained(args: argparse.Namespace, capture: Capture, variant: Variant) -> Pat
         base += ["preview_every=1000000", "checkpoint_every=1000000", "overwrite=true"]
         if not args.estimated:
             base.append("motion.enabled=false")
+        base += [] if variant.auto else BY_HAND
         train(compose_config([*base, *variant.overrides, *args.override]), directory)
     return directory
 
@@ -219,7 +252,8 @@ def trained(args: argparse.Namespace, capture: Capture, variant: Variant) -> Pat
 def scored(args: argparse.Namespace, capture: Capture, directory: Path, variant: Variant) -> dict:
     """PSNR and SSIM of each split with true poses, and of the training views with the poses of training."""
     run = open_run(directory, variant.stage)
-    seconds = json.loads((directory / "metrics.json").read_text(encoding="utf-8"))["seconds"]
+    metrics = json.loads((directory / "metrics.json").read_text(encoding="utf-8"))
+    seconds, choices = metrics["seconds"], metrics["verdicts"].get("choices", {})
     train_views = run.capture.views("train")
     run.capture = capture.resized(variant.image)
     run.capture.splits = {s: run.capture.splits[s][:: args.every] for s in SPLITS}
@@ -227,6 +261,7 @@ def scored(args: argparse.Namespace, capture: Capture, directory: Path, variant:
     variant.prepare(run)
     result = evaluate(run, ["train", *SPLITS], fit_steps=0, perceptual=False, progress=False)
     row = {"variant": variant.name, "seconds": round(sum(seconds.values()), 1)}
+    row["chosen"] = {name: [choice["value"], choice["measured"]] for name, choice in choices.items()}
     for score in result.rows:
         if score.split == "train" or score.poses == "true":
             row |= {f"{score.split}_psnr": round(score.psnr, 3), f"{score.split}_ssim": round(score.ssim, 5)}

@@ -21,6 +21,7 @@ from .registry import BODIES, DECODERS, ENCODERS, RASTERIZERS, fill_config_store
 
 PRECISIONS = ("auto", "float32", "bfloat16")
 DYNAMICS = ("always", "auto")
+AUTO = "auto"  # of a remedy: decided by what is measured on the footage
 
 
 @dataclasses.dataclass
@@ -54,27 +55,29 @@ class MotionConfig:
     lr_trans: metres a step. start, end: fractions of the stage between which it is optimised. joints: how many of the
     first joints are corrected. sharing: seconds over which neighbouring frames are corrected alike at the start (the
     standard deviation of `gavatar.training.motion_table.shared_frames`; 0: each frame learns from its own images
-    alone; never more
-    than an eighth of the time that the training frames cover); sharing_final: what it narrows to at the fraction
-    sharing_end of the stage. guard: at the end of the stage, frames whose refined pose renders worse than the
-    estimated one get their estimate back. mend: fraction of the stage at which frames that another pose (their
+    alone; never more than an eighth of the time that the training frames cover); sharing_final: what it narrows to at
+    the fraction sharing_end of the stage. guard: at the end of the stage, frames whose refined pose renders worse than
+    the estimated one get their estimate back. mend: fraction of the stage at which frames that another pose (their
     estimate, or one made from it or from their neighbours) renders better by far get that pose; 0: never. betas:
     the shape coefficients are optimised too, one vector for the capture, at the rate lr_betas (standard deviations
     a step). stage2, stage2_trans: factors on lr and lr_trans in stage 2, 0 to leave the poses as stage 1 refined
-    them, as published."""
+    them, as published.
+
+    `auto`: start and betas are chosen by what is measured on the footage (`gavatar.training.choosing`); sharing is 0.8
+    seconds, and mend is at a fifth of the stage."""
 
     enabled: bool = True
     lr: float = 1.0e-2
     lr_trans: float = 4.0e-3
-    start: float = 0.02
+    start: Any = AUTO
     end: float = 1.0
     joints: int = 22
-    sharing: float = 0.8
+    sharing: Any = AUTO
     sharing_final: float = 0.0
     sharing_end: float = 0.7
     guard: bool = True
-    mend: float = 0.0
-    betas: bool = False
+    mend: Any = AUTO
+    betas: Any = AUTO
     lr_betas: float = 1.0e-2
     stage2: float = 0.0
     stage2_trans: float = 0.0
@@ -87,9 +90,11 @@ class TrainConfig:
     or `black`. crop: render only the window in which the person moves. preview_every, checkpoint_every: steps.
     precision: of the decoder's products while training, `float32`, `bfloat16` or `auto`, the faster one here.
     overwrite: start afresh even if `out` holds another run. mask_edge: pixels inside the border of every mask that no
-    loss looks at, against the rim that masks cut too wide leave; mask_matte: pixels in which the border is found anew
-    from the footage's colours, to the same end. exposure: learn a gain for every training view, where the footage's
-    brightness drifts. fill_unseen: after stage 1, points that no training view saw take on what is around them.
+    loss looks at, against the rim that masks cut too wide leave; mask_matte: pixels inside the border, or below zero
+    outside it, in which it is found anew from the footage's colours, where masks are too wide or too narrow. exposure:
+    learn a gain for every training view, where the footage's brightness drifts. Both are `auto`: measured on the
+    footage and chosen by that. fill_unseen: after stage 1, points that no training view saw take on what is around
+    them.
     dynamics: `always` keeps what stage 2 learns; `auto` only if it gains `dynamics_gain` dB on training views held out
     of stage 2: else the avatar is static."""
 
@@ -104,8 +109,8 @@ class TrainConfig:
     crop: bool = True
     train_split: str = "train"
     mask_edge: float = 0.0
-    mask_matte: float = 0.0
-    exposure: bool = False
+    mask_matte: Any = AUTO
+    exposure: Any = AUTO
     fill_unseen: bool = False
     dynamics: str = "always"
     dynamics_gain: float = 0.1
@@ -161,9 +166,11 @@ def check(config: DictConfig) -> TrainConfig:
         loss_config(name, value)
     if typed.background not in ("random", "white", "black"):
         raise UserError(f"background must be random, white or black, not '{typed.background}'")
-    for key in ("mask_edge", "mask_matte"):
-        if not 0 <= getattr(typed, key) < math.inf:
-            raise UserError(f"{key} must be a number of pixels, 0 or more, not {getattr(typed, key)}")
+    if not 0 <= typed.mask_edge < math.inf:
+        raise UserError(f"mask_edge must be a number of pixels, 0 or more, not {typed.mask_edge}")
+    if not (typed.mask_matte == AUTO or is_number(typed.mask_matte)):
+        raise UserError(f"mask_matte must be auto or a number of pixels, not {typed.mask_matte!r}")
+    check_choice("exposure", typed.exposure)
     check_precision(typed.precision)
     check_dynamics(typed.dynamics, typed.dynamics_gain)
     check_motion(typed.motion)
@@ -175,13 +182,27 @@ def check_motion(motion: MotionConfig) -> None:
     for field in (
         "lr", "lr_trans", "lr_betas", "sharing", "sharing_final", "sharing_end", "mend", "stage2", "stage2_trans"
     ):  # fmt: skip
-        value = getattr(motion, field)
-        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not number or value < 0 or (field in ("sharing_end", "mend") and value > 1):
+        value, chooses = getattr(motion, field), field in ("sharing", "mend")
+        if chooses and value == AUTO:
+            continue
+        if not is_number(value) or value < 0 or (field in ("sharing_end", "mend") and value > 1):
             kind = "a fraction of the stage" if field in ("sharing_end", "mend") else "a number of at least 0"
-            raise UserError(f"motion.{field} must be {kind}, not {value!r}")
-    if not 0 <= motion.start <= motion.end <= 1:
-        raise UserError("motion.start and motion.end must be fractions with 0 <= start <= end <= 1")
+            raise UserError(f"motion.{field} must be {kind}{', or auto' if chooses else ''}, not {value!r}")
+    check_choice("motion.betas", motion.betas)
+    start = 0.0 if motion.start == AUTO else motion.start
+    if not is_number(start) or not 0 <= start <= motion.end <= 1:
+        raise UserError("motion.start and motion.end must be fractions with 0 <= start <= end <= 1, or start auto")
+
+
+def is_number(value: Any) -> bool:
+    """Whether `value` is a finite number; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def check_choice(name: str, value: Any) -> None:
+    """UserError unless `value` is true, false or auto."""
+    if not (isinstance(value, bool) or value == AUTO):
+        raise UserError(f"{name} must be true, false or auto, not {value!r}")
 
 
 def _check_stage(name: str, stage: StageConfig) -> None:

@@ -109,16 +109,16 @@ def load_full(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Every view as (H, W, 3) uint8 premultiplied colour and (H, W) uint8 alpha, at the capture's own size.
 
-    mask_matte: pixels inside a mask's border in which alpha is found anew (`matted`), where the footage shows what is
-    behind the person.
+    mask_matte: pixels inside a mask's border in which alpha is found anew (`matted`).
     """
     images = []
     for view in progress(views):
-        if mask_matte > 0 and capture.background == "footage":
-            image, mask = capture.read(view)
-            color, alpha = matted(image[..., ::-1].astype(np.float32) / 255, mask.astype(np.float32) / 255, mask_matte)
-        else:
-            color, alpha = capture.load(view)
+        color, alpha = capture.load(view)
+        if mask_matte != 0:
+            image = capture.read(view)[0][..., ::-1].astype(np.float32) / 255
+            anew, share = matted(image, alpha, mask_matte)
+            changed = share != alpha
+            color, alpha = np.where(changed[..., None], anew, color), share
         images.append((np.round(color * 255).astype(np.uint8), np.round(alpha * 255).astype(np.uint8)))
     return images
 

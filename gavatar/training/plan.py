@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
-from ..config import MotionConfig, StageConfig, TrainConfig
-from .schedule import sharing_width
+from ..config import AUTO, MotionConfig, StageConfig, TrainConfig
+from .schedule import SHARED, sharing_width
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +21,9 @@ class Plan:
     `motion`. narrowing: neighbouring frames share less and less of their corrections, else as little as at the end of a
     stage that narrows.
 
-    Remedies. mend_step: before which outliers are mended, None for never. guard: poses that got worse are refused.
+    Remedies. Before exposure_step and shape_step it is decided whether these are learnt, None where that is settled.
+    waits: when poses begin to move is decided before all. mend_step: before which outliers are mended, None for never.
+    guard: poses that got worse are refused.
     fill_unseen: points that no view saw take on their surroundings. least_gain: dB that dynamics must gain on held-out
     views to be kept, None where they are kept unasked; static_uv: side of the atlas of the avatar they must surpass.
     """
@@ -40,6 +42,9 @@ class Plan:
     window: tuple[float, float]
     narrowing: bool
     mend_step: int | None
+    exposure_step: int | None
+    shape_step: int | None
+    waits: bool
     guard: bool
     fill_unseen: bool
     least_gain: float | None
@@ -61,6 +66,18 @@ class Plan:
         return self.stage.levels[-1].image
 
 
+# fractions of stage 1: brightness is told by colours that are about right; whether a pose or a shape is wrong, by an
+# avatar that is one
+EXPOSURE_AT, MEND_AT, SHAPE_AT = 0.1, 0.2, 0.1
+
+
+def settled(motion: MotionConfig) -> MotionConfig:
+    """The options with the words `auto` that need no look at the footage replaced by numbers."""
+    mend = MEND_AT if motion.mend == AUTO else motion.mend
+    sharing = SHARED if motion.sharing == AUTO else motion.sharing
+    return dataclasses.replace(motion, mend=mend, sharing=sharing, start=0.0 if motion.start == AUTO else motion.start)
+
+
 def stage_plans(config: TrainConfig, dynamic: bool) -> list[Plan]:
     """The stages of a training. dynamic: the avatar has a pose encoder."""
     plans = [appearance(config)]
@@ -71,8 +88,12 @@ def stage_plans(config: TrainConfig, dynamic: bool) -> list[Plan]:
 
 def appearance(config: TrainConfig) -> Plan:
     """Stage 1: how the person looks, and how they move."""
-    motion, steps = config.motion, config.stage1.steps
+    motion, steps = settled(config.motion), config.stage1.steps
     mends = motion.enabled and motion.mend > 0
+
+    def step_at(fraction: float, wanted: bool) -> int | None:
+        return max(0, min(round(fraction * steps), steps - 1)) if wanted else None
+
     return Plan(
         number=1,
         stage=config.stage1,
@@ -81,13 +102,16 @@ def appearance(config: TrainConfig) -> Plan:
         background=config.background,
         dynamic=False,
         learns_features=True,
-        learns_exposure=config.exposure,
-        learns_shape=motion.enabled and motion.betas,
+        learns_exposure=config.exposure is True,
+        learns_shape=motion.enabled and motion.betas is True,
         poses_move=motion.enabled,
         pose_rates=(motion.lr, motion.lr_trans),
         window=(motion.start, motion.end),
         narrowing=True,
-        mend_step=min(round(motion.mend * steps), steps - 1) if mends else None,
+        mend_step=step_at(motion.mend, mends),
+        exposure_step=step_at(EXPOSURE_AT, config.exposure == AUTO),
+        shape_step=step_at(SHAPE_AT, motion.enabled and motion.betas == AUTO),
+        waits=motion.enabled and config.motion.start == AUTO,
         guard=motion.guard,
         fill_unseen=config.fill_unseen,
         least_gain=None,
@@ -99,7 +123,7 @@ def appearance(config: TrainConfig) -> Plan:
 
 def dynamics(config: TrainConfig) -> Plan:
     """Stage 2: how the look hangs on the pose."""
-    motion = config.motion
+    motion = settled(config.motion)
     return Plan(
         number=2,
         stage=config.stage2,
@@ -115,6 +139,9 @@ def dynamics(config: TrainConfig) -> Plan:
         window=(0.0, 1.0),
         narrowing=False,
         mend_step=None,
+        exposure_step=None,
+        shape_step=None,
+        waits=False,
         guard=motion.guard,
         fill_unseen=False,
         least_gain=config.dynamics_gain if config.dynamics == "auto" else None,

@@ -121,6 +121,7 @@ def open_run(
     if number not in finished:
         raise UserError(f"{directory} has no stage {number}; finished: {', '.join(map(str, finished))}")
     state = load_tensors(directory / STAGE_FILES[number])
+    config.mask_matte = state.get("mask_matte", config.mask_matte)  # as it was chosen, where it was left to auto
     opened = open_capture(config.capture, config.capture_format)
     built = build_avatar(config.body, config.encoder, config.decoder, config.avatar, opened, config.seed)
     if "betas" in state:

@@ -22,6 +22,7 @@ def lr_factor(stage: StageConfig, step: int) -> float:
     return stage.lr_final + (1 - stage.lr_final) * 0.5 * (1 + math.cos(math.pi * min(1.0, fraction)))
 
 
+SHARED = 0.8  # seconds, where it is left to `auto`: the errors of an estimate go together for about so long
 SHARED_AT_MOST = 1 / 8  # of the time that a capture covers: more would correct all of a short one as one frame
 
 

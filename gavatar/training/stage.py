@@ -15,6 +15,7 @@ from gavatar_runtime.progress import Progress
 from ..losses import LossComposer, LossInputs
 from ..registry import LOSSES, LossTraits
 from ..storage import load_tensors, save_tensors
+from .choosing import Chooser
 from .motion_table import RowAdam
 from .plan import Plan
 from .pose_learning import PoseLearner
@@ -23,7 +24,7 @@ from .remedies.acceptance import dynamics_verdict, held_out_rows, refuse_worse_p
 from .remedies.exposure import RATE as EXPOSURE_RATE
 from .remedies.facing import facing_texels
 from .remedies.filling import fill_unseen
-from .remedies.outliers import mend_outliers
+from .remedies.outliers import judging_scale, mend_outliers
 from .scene import Scene
 from .schedule import background_at, batch_rows, level_at, lr_factor
 
@@ -45,6 +46,7 @@ class Stage:
         self, plan: Plan, scene: Scene, losses: LossComposer, poses: PoseLearner, record: Record, progress: bool = False
     ):
         self.plan, self.scene, self.losses, self.poses, self.record = plan, scene, losses, poses, record
+        self.chooser = Chooser(scene, record)
         self.progress = progress
         views = range(len(scene.views))
         self.held_out = held_out_rows(len(views)) if plan.least_gain is not None else []
@@ -54,7 +56,17 @@ class Stage:
         scene.avatar.smooth.requires_grad_(plan.learns_features)
         scene.motion.requires_grad_(plan.poses_move)
         if scene.exposure is not None:
-            scene.exposure.requires_grad_(plan.learns_exposure)
+            scene.exposure.requires_grad_(self.learns_exposure)
+
+    @property
+    def learns_exposure(self) -> bool:
+        """Whether gains are learnt here: asked for, or found to be needed."""
+        return self.scene.exposure is not None and (self.plan.learns_exposure or self.plan.exposure_step is not None)
+
+    @property
+    def learns_shape(self) -> bool:
+        """Whether the shape is learnt here: asked for, or found to be needed."""
+        return self.scene.shape is not None and (self.plan.learns_shape or self.plan.shape_step is not None)
 
     def _make_optimizers(self) -> tuple[dict[str, torch.optim.Optimizer], dict[str, list[float]]]:
         """The optimisers, and the rates that the schedule multiplies, by parameter group."""
@@ -73,13 +85,20 @@ class Stage:
             "optimizer": torch.optim.Adam(groups, fused=True),  # one pass over each parameter
             "motion_optimizer": self.poses.optimizer,
         }
-        if plan.learns_exposure and self.scene.exposure is not None:
-            optimizers["exposure_optimizer"] = RowAdam([self.scene.exposure.log_gain], lr=EXPOSURE_RATE)
-        rate, shape = plan.motion.lr_betas, self.scene.shape
-        if plan.learns_shape and shape is not None:
-            optimizers["shape_optimizer"] = torch.optim.Adam(shape.parameters(), lr=rate, betas=(0.9, 0.99))
-            rates["shape_optimizer"] = [rate]
+        if self.learns_exposure:
+            optimizers["exposure_optimizer"] = self._exposure_optimizer()
+        if self.learns_shape:
+            optimizers["shape_optimizer"] = self._shape_optimizer()
+            rates["shape_optimizer"] = [plan.motion.lr_betas]
         return optimizers, rates
+
+    def _exposure_optimizer(self) -> torch.optim.Optimizer:
+        assert self.scene.exposure is not None
+        return RowAdam([self.scene.exposure.log_gain], lr=EXPOSURE_RATE)
+
+    def _shape_optimizer(self) -> torch.optim.Optimizer:
+        assert self.scene.shape is not None
+        return torch.optim.Adam(self.scene.shape.parameters(), lr=self.plan.motion.lr_betas, betas=(0.9, 0.99))
 
     # --- the run of the stage -----------------------------------------------------------------------------------------
     def run(self, resume: dict[str, Any] | None) -> None:
@@ -87,6 +106,10 @@ class Stage:
         scene, steps = self.scene, self.plan.stage.steps
         start = 0 if resume is None else self._resume(resume)
         scene.avatar.train()
+        if self.plan.waits and steps:
+            first = self.plan.stage.levels[0]
+            scene.place(first.uv)
+            self.plan = self.chooser.window(self.plan, first.image)
         if start == 0 and self.plan.dynamic:
             self._prepare_encoder()
         if self.held_out and self.record.verdicts.static_errors is None:
@@ -96,7 +119,7 @@ class Stage:
         self._run_steps(start)
         if start >= steps:  # nothing is left to do, or there never was: no step has placed the points
             scene.place(self.plan.stage.levels[-1].uv)
-        if self.plan.learns_shape:
+        if self.learns_shape:
             self.record.verdicts.betas = scene.settle_shape()
             scene.place(self.plan.stage.levels[-1].uv)
         self._finish(self._judged(), trained=start < steps)
@@ -152,7 +175,7 @@ class Stage:
 
     def _diverged(self, step: int, loss: float) -> None:
         number, rates = self.plan.number, f"stage{self.plan.number}.lr_decoder or motion.lr"
-        rates += " or motion.lr_betas" if self.plan.learns_shape else ""
+        rates += " or motion.lr_betas" if self.learns_shape else ""
         raise UserError(f"stage {number} diverged at step {step}: the loss is {loss}; lower {rates}")
 
     # --- a step -------------------------------------------------------------------------------------------------------
@@ -160,6 +183,8 @@ class Stage:
         """One optimiser step; the total and each loss of it."""
         plan, progress = self.plan, step / max(1, self.plan.stage.steps)
         image = self._prepare(step)
+        if step == plan.exposure_step and self.chooser.exposure(judging_scale(self.scene, image)):
+            self.optimizers["exposure_optimizer"] = self._exposure_optimizer()
         if step == plan.mend_step:
             self._mend(image)
         rows = [self.rows[r] for r in batch_rows(plan.seed, len(self.rows), plan.stage.batch, step)]
@@ -185,9 +210,8 @@ class Stage:
         return level.image
 
     def _mend(self, image: float) -> None:
-        mended = mend_outliers(self.scene, image)
-        self.poses.optimizer.forget(mended)
-        self.record.verdicts.frames_mended = mended
+        self.chooser.mended(mend_outliers(self.scene, image))
+        self.poses.optimizer.forget(self.record.verdicts.frames_mended or [])
 
     def _draw(self, rows: list[int], image: float, background: torch.Tensor, progress: float) -> LossInputs:
         """The views in `rows` and what the losses look at beside them."""
@@ -217,9 +241,9 @@ class Stage:
         if plan.poses_move_at(progress):
             shown = sorted(set(self.scene.frames_of(rows)))
             self.poses.step(shown, plan.sharing(progress, self.poses.span))
-            if plan.learns_shape:
+            if self.learns_shape:
                 optimizers["shape_optimizer"].step()
-        if plan.learns_exposure:
+        if self.learns_exposure:
             exposure: Any = optimizers["exposure_optimizer"]  # a `RowAdam`
             exposure.step(torch.tensor(rows, device=self.scene.device))
 
@@ -256,6 +280,8 @@ class Stage:
                 verdicts.frames_kept_as_estimated = refused
         if plan.fill_unseen and trained:
             verdicts.unseen = fill_unseen(scene, plan.image)
+        if trained and not plan.dynamic and self.chooser.paragraph:
+            log.warning("measured on the footage: %s", self.chooser.paragraph)
         save_tensors(self.record.directory / result, self._avatar_state())
         self.save(plan.stage.steps)
         if result == REFUSED:  # the avatar is stage 1's, and so are its poses
@@ -270,6 +296,7 @@ class Stage:
             "motion": scene.motion.state_dict(),
             "stage": self.plan.number,
             "uv": self.plan.stage.levels[-1].uv,
+            "mask_matte": scene.footage.mask_matte,
         }
 
     def save(self, step: int) -> None:

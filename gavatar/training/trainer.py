@@ -17,9 +17,10 @@ from ..assemble import AvatarBuild, build_avatar, build_rasterizer, capture_on_b
 from ..capture.capture import Capture, View
 from ..capture.meeting import apart
 from ..capture.opening import open_capture
-from ..config import TrainConfig
+from ..config import AUTO, TrainConfig
 from ..losses import LossComposer
 from ..storage import load_tensors, write_motion
+from .choosing import Chooser
 from .footage import FootageSource
 from .memory import keep_freed_memory
 from .motion_table import MotionTable
@@ -65,6 +66,8 @@ class Trainer:
         state = load_tensors(path) if path.exists() else None
         if state is not None:
             self._restore(state)
+        if self.config.mask_matte == AUTO:
+            Chooser(self.scene, self.record).masks()
         for plan in self.plans:
             if state is not None and plan.number < state["stage"]:
                 continue
@@ -85,9 +88,11 @@ class Trainer:
         scene = self.scene
         scene.avatar.load_state_dict(state["avatar"])
         scene.motion.load_state_dict(state["motion"])
-        if scene.exposure is not None:
+        if "exposure" in state:
+            scene.exposure = scene.exposure or Exposure(len(scene.views)).to(scene.device)
             scene.exposure.load_state_dict(state["exposure"])
-        if scene.shape is not None:
+        if "shape" in state:
+            scene.shape = scene.shape or new_shape(scene.built).to(scene.device)
             scene.shape.load_state_dict(state["shape"])
             if state["stage"] > 1:
                 scene.settle_shape()
@@ -97,13 +102,13 @@ class Trainer:
 def training_scene(config: TrainConfig, built: AvatarBuild, capture: Capture, views: list[View]) -> Scene:
     """The scene of a training at its start, on the avatar's device. capture: on the avatar's body."""
     avatar, data, options = built.avatar, built.body.data, config.motion
-    device, shaped = avatar.features.device, options.betas and options.enabled
+    device, shaped = avatar.features.device, options.betas is True and options.enabled
     footage = FootageSource(
         capture,
         views,
         crop=config.crop,
         mask_edge=config.mask_edge,
-        mask_matte=config.mask_matte,
+        mask_matte=0.0 if config.mask_matte == AUTO else config.mask_matte,
         bar=lambda items: shown(items, "reading images", "image", show=config.progress),
     )
     return Scene(
@@ -111,9 +116,14 @@ def training_scene(config: TrainConfig, built: AvatarBuild, capture: Capture, vi
         build_rasterizer(config.rasterizer, avatar),
         footage,
         MotionTable(capture.motion, data.num_joints, options.joints).to(device),
-        Exposure(len(views)).to(device) if config.exposure else None,
-        Shape(built.betas, data.num_betas).to(device) if shaped else None,
+        Exposure(len(views)).to(device) if config.exposure is True else None,
+        new_shape(built).to(device) if shaped else None,
     )
+
+
+def new_shape(built: AvatarBuild) -> Shape:
+    """A correction of the shape of an avatar's body, zero at first."""
+    return Shape(built.betas, built.body.data.num_betas)
 
 
 def resolved(config: TrainConfig) -> dict[str, Any]:

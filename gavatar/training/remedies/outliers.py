@@ -17,6 +17,8 @@ from ..scene import Scene
 
 # seconds to the nearest neighbours that are believed: those next to the frame, or beyond a run of wrong ones
 REACHES = (0.0, 0.2, 0.4)
+STANDS_OUT, AROUND = 1.1, 1.0  # times the median error of the frames within so many seconds, or of all
+LOOKED_AT = 128  # pixels of the longer side that are enough to tell a wrong pose
 WORTH = 0.85  # a pose from the neighbours is taken if its error is at most this share of the error of the frame's own
 
 
@@ -68,10 +70,13 @@ def exchanged(rotations: Tensor, names: Sequence[str]) -> Tensor:
     return out
 
 
+KINDS = ("drawn along", "displaced", "exchanged", "out of line")  # what is wrong with a frame, as `candidates` go
+
+
 def candidates(table: MotionTable, frames: list[int], names: Sequence[str]) -> list[list[Poses]]:
-    """What may be right of each frame where the refined pose is not, in kinds that change more and more: the estimate,
-    where wrong neighbours have drawn it along; the root put between its neighbours; the estimate with left and right
-    exchanged; the whole pose put between its neighbours."""
+    """What may be right of each frame where the refined pose is not, in the kinds KINDS that change more and more: the
+    estimate, where wrong neighbours have drawn it along; the root put between its neighbours; the estimate with left
+    and right exchanged; the whole pose put between its neighbours."""
     estimate = {frame: table.estimated([frame]) for frame in frames}
     spans = [between(table, frames, reach) for reach in REACHES]
     moved = [{f: dataclasses.replace(table([f]), trans=pose.trans) for f, pose in span.items()} for span in spans]
@@ -79,13 +84,27 @@ def candidates(table: MotionTable, frames: list[int], names: Sequence[str]) -> l
     return [[estimate], moved, [swapped], spans]
 
 
-@torch.no_grad()
-def mend_outliers(scene: Scene, image: float) -> list[int]:
-    """Give frames whose images speak plainly for another of the `candidates` that pose; returns those frames.
+def suspects(times: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """(F,) bool: the frames that render worse than those around them or than all usually do; no other pose renders the
+    rest better by far. times: (F,) seconds. errors: (F,) mean squared."""
+    around = [np.median(errors[np.abs(times - at) <= AROUND]) for at in times]
+    return errors > STANDS_OUT * np.minimum(around, np.median(errors))
 
-    image: scale of the images that judge. Of one kind the pose that renders best counts, and it must be better by far
-    than the frame's own or than one that changes less. It is a correction of the estimate like any other, free to be
-    refined.
+
+def judging_scale(scene: Scene, image: float) -> float:
+    """The scale at most `image` at which pictures are as small as tells a wrong pose."""
+    side = max(max(camera.width, camera.height) for camera in map(scene.footage.capture.camera, scene.views))
+    return min(image, max(image / 2, LOOKED_AT / side))
+
+
+@torch.no_grad()
+def mend_outliers(scene: Scene, image: float) -> dict[str, list[int]]:
+    """Give frames whose images speak plainly for another of the `candidates` that pose; returns those frames by what
+    was wrong with them, one of KINDS.
+
+    image: scale of the images that judge, smaller where that is enough. Only `suspects` are tried. Of one kind the pose
+    that renders best counts, and it must be better by far than the frame's own or than one that changes less. It is a
+    correction of the estimate like any other, free to be refined.
     """
     table, frames = scene.motion, scene.frames
     shown = np.array([view.frame for view in scene.views])
@@ -96,16 +115,21 @@ def mend_outliers(scene: Scene, image: float) -> list[int]:
         by_view = scene.errors(rows, image, poses=poses.__getitem__)
         return np.array([by_view[shown[rows] == f].mean() if f in poses else np.inf for f in frames])
 
+    image = judging_scale(scene, image)
     best = errors({frame: table([frame]) for frame in frames})
+    tried = {frames[i] for i in np.flatnonzero(suspects(np.array(frames) / table.fps, best))}
     mended: Poses = {}
-    for kind in candidates(table, frames, list(scene.built.body.data.joint_names)):
-        scores = np.array([errors(poses) for poses in kind])
+    wrong: dict[int, str] = {}
+    kinds = candidates(table, frames, list(scene.built.body.data.joint_names)) if tried else []
+    for name, kind in zip(KINDS, kinds, strict=False):
+        scores = np.array([errors({f: pose for f, pose in poses.items() if f in tried}) for poses in kind])
         chosen = scores.argmin(0)
         for i in np.flatnonzero(scores.min(0) <= WORTH * best):
-            mended[frames[i]], best[i] = kind[chosen[i]][frames[i]], scores[chosen[i], i]
+            frame = frames[i]
+            mended[frame], best[i], wrong[frame] = kind[chosen[i]][frame], scores[chosen[i], i], name
     for frame, pose in mended.items():
         turn = table.initial_rotations[frame, : table.joints].mT @ pose.rotations[0, : table.joints]
         table.rotation_correction[frame] = rotation_vector_from_matrix(turn)
         table.trans_correction[frame] = pose.trans[0] - table.initial_trans[frame]
     scene.moved(list(mended))
-    return sorted(mended)
+    return {name: sorted(frame for frame in wrong if wrong[frame] == name) for name in KINDS}

@@ -9,7 +9,7 @@ import pytest
 
 from gavatar.config import check, compose_config
 from gavatar.training.plan import Plan, stage_plans
-from gavatar.training.verdicts import DynamicsVerdict, FillingVerdict, ShapeVerdict, Verdicts
+from gavatar.training.verdicts import Choice, DynamicsVerdict, FillingVerdict, ShapeVerdict, Verdicts
 
 
 def plans(*overrides, dynamic: bool = True) -> list[Plan]:
@@ -74,6 +74,7 @@ WHOLE = Verdicts(
     frames_kept_as_estimated=[3],
     frames_kept_as_estimated_stage2=[],
     unseen=FillingVerdict(5, 9, 0),
+    choices={"mask_matte": Choice(5.0, 3.02, "too wide"), "exposure": Choice(False, None, "")},
 )
 
 
