@@ -13,9 +13,12 @@ from .remedies.brightness import brightness
 from .remedies.exposure import Exposure
 from .remedies.mask_border import MaskBorder, mask_border
 from .remedies.pose_quality import UNSTEADY, unsteadiness
+from .remedies.shape import new_shape
+from .remedies.shape_trial import shape_trial
 from .scene import Scene
 from .verdicts import Choice
 
+SHAPE_GAIN = 0.5  # dB on left-out views that another shape must gain before it is learnt
 WAITING = 0.05  # of stage 1, before poses that are good begin to move: until then the avatar is a blur
 
 
@@ -60,6 +63,20 @@ class Chooser:
                 with torch.no_grad():
                     scene.exposure.log_gain.copy_(torch.from_numpy(measured.log_gain))
         self.record.verdicts.chose("exposure", choice)
+        return bool(choice.value)
+
+    def shape(self, scale: float) -> bool:
+        """Whether `motion.betas` are learnt: then the scene has a correction of the shape from here on."""
+        scene, trial = self.scene, shape_trial(self.scene, scale)
+        if trial is None:
+            choice = Choice(False, None, "nothing tells whether the shape fits")
+        else:
+            worth, gain = trial.gain_db >= SHAPE_GAIN, f"{trial.gain_db:+.2f} dB"
+            told = f"another shape fits better ({gain}): learnt" if worth else f"the shape fits (another: {gain})"
+            choice = Choice(worth, trial.gain_db, told)
+            if worth:
+                scene.shape = new_shape(scene.built).to(scene.device)
+        self.record.verdicts.chose("motion.betas", choice)
         return bool(choice.value)
 
     def mended(self, wrong: Mapping[str, list[int]]) -> None:

@@ -185,6 +185,9 @@ class Stage:
         image = self._prepare(step)
         if step == plan.exposure_step and self.chooser.exposure(judging_scale(self.scene, image)):
             self.optimizers["exposure_optimizer"] = self._exposure_optimizer()
+        if step == plan.shape_step and self.chooser.shape(judging_scale(self.scene, image)):
+            self.optimizers["shape_optimizer"] = self._shape_optimizer()
+            self._rates["shape_optimizer"] = [plan.motion.lr_betas]
         if step == plan.mend_step:
             self._mend(image)
         rows = [self.rows[r] for r in batch_rows(plan.seed, len(self.rows), plan.stage.batch, step)]

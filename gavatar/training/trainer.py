@@ -29,7 +29,7 @@ from .pose_learning import PoseLearner
 from .precision import mixed
 from .record import Record
 from .remedies.exposure import Exposure
-from .remedies.shape import Shape
+from .remedies.shape import new_shape
 from .scene import Scene
 from .stage import CHECKPOINT, Stage
 
@@ -119,11 +119,6 @@ def training_scene(config: TrainConfig, built: AvatarBuild, capture: Capture, vi
         Exposure(len(views)).to(device) if config.exposure is True else None,
         new_shape(built).to(device) if shaped else None,
     )
-
-
-def new_shape(built: AvatarBuild) -> Shape:
-    """A correction of the shape of an avatar's body, zero at first."""
-    return Shape(built.betas, built.body.data.num_betas)
 
 
 def resolved(config: TrainConfig) -> dict[str, Any]:

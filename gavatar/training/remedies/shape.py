@@ -8,6 +8,8 @@ from torch import nn
 
 from gavatar_runtime.errors import UserError
 
+from ...assemble import AvatarBuild
+
 
 class Shape(nn.Module):
     """One correction of the shape coefficients for the whole capture.
@@ -32,3 +34,8 @@ class Shape(nn.Module):
         betas = self.estimated.copy()
         betas[: len(self.change)] += self.change.detach().double().cpu().numpy()
         return betas
+
+
+def new_shape(built: AvatarBuild) -> Shape:
+    """A correction of the shape of an avatar's body, zero at first."""
+    return Shape(built.betas, built.body.data.num_betas)
