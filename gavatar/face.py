@@ -26,8 +26,10 @@ import torch
 from gavatar_runtime.bundle import Manifest
 from gavatar_runtime.conversions import CONVERSIONS, convert
 from gavatar_runtime.errors import UserError, WrongValue
+from gavatar_runtime.motions import read_motion
 from gavatar_runtime.notes import Note
 from gavatar_runtime.tiers import PLAYER_TIERS
+from gavatar_runtime.values.motion import Motion
 
 from .capture import opening
 from .capture.capture import Capture
@@ -163,6 +165,7 @@ class TrainedRun:
         drop_unseen: bool = False,
         poses: int = 8,
         progress: bool = False,
+        motions: Sequence[str | Path | Motion] | None = None,
     ) -> ExportedAvatar:
         """Write the avatar as a bundle that plays without PyTorch.
 
@@ -170,14 +173,18 @@ class TrainedRun:
         `avatar.convert` writes to a file, from a bundle that is not kept. tiers: cheaper ways to decode it, names
         or "auto" for those that pay on this machine. uv: side of the atlas whose texels are the Gaussians, default as
         trained. drop_unseen: leave out Gaussians that no training view sees nor any neighbour within 2 cm. poses: of
-        the capture that it is verified on.
+        the capture that it is verified on. motions: of what is no bundle, built-in ones and files, the first plays at
+        the start; as `avatar.convert` chooses them if None.
 
         Raises UserError, and writes nothing, unless positions agree with PyTorch within 0.1 mm and colours within
         1/255.
         """
         path = Path(out) if out is not None else self.directory / f"{self.capture.name}.gavatar"
         if path.suffix != ".gavatar":
-            return self._exported_elsewhere(path, tiers, uv=uv, drop_unseen=drop_unseen, poses=poses, progress=progress)
+            how = {"uv": uv, "drop_unseen": drop_unseen, "poses": poses, "progress": progress}
+            return self._exported_elsewhere(path, tiers, motions, **how)
+        if motions is not None:
+            raise WrongValue("`motions` is of web pages: a bundle holds none, whoever plays it chooses them")
         if poses < 1:
             raise WrongValue(f"`poses={poses}`: give at least 1, an export that is not verified is not written")
         names = [name.strip() for name in tiers.split(",") if name.strip()] if isinstance(tiers, str) else list(tiers)
@@ -187,17 +194,21 @@ class TrainedRun:
             manifest = export(self.opened, path, poses, tiers=names, uv=uv, drop_unseen=drop_unseen, progress=progress)
         return ExportedAvatar(path, manifest)
 
-    def _exported_elsewhere(self, path: Path, tiers: str | Sequence[str], **how: Any) -> ExportedAvatar:
+    def _exported_elsewhere(
+        self, path: Path, tiers: str | Sequence[str], motions: Sequence[str | Path | Motion] | None, **how: Any
+    ) -> ExportedAvatar:
         """A file of another kind than a bundle, made of one with the tiers that can be played without networks."""
         if path.suffix.lower() not in (s for c in CONVERSIONS for s in c.kind.suffixes):
             raise UserError(
                 f"{path}: a bundle's name ends in .gavatar, a web page's in .html (gavatar-list conversion)"
             )
+        if motions is not None:  # one that cannot be read is told before the export
+            motions = [motion if isinstance(motion, Motion) else read_motion(motion) for motion in motions]
         if not tiers and self.dynamic:
             tiers = PLAYER_TIERS.having(linear=True)
         with tempfile.TemporaryDirectory(prefix="gavatar-export-") as folder:
             bundle = self.export(Path(folder, f"{path.stem}.gavatar"), tiers=tiers, **how)
-            for note in convert(bundle.path, path):
+            for note in convert(bundle.path, path, motions=motions):
                 warnings.warn(note, Note, stacklevel=3)
         return ExportedAvatar(path, bundle.manifest)
 

@@ -14,6 +14,7 @@ EPILOG = """examples
   gavatar-export runs/anna                     writes runs/anna/anna.gavatar
   gavatar-export runs/anna -o anna.gavatar
   gavatar-export runs/anna -o anna.html        one web page that plays offline (gavatar-list conversion)
+  gavatar-export runs/anna -o anna.html --motions wave,dance.npz
   gavatar-export runs/anna --stage 1 -o anna_static.gavatar    without dynamics
   gavatar-export runs/anna --tiers auto        with the cheaper tiers that pay on this machine
   gavatar-export runs/anna --tiers blendshape,baked --uv 512
@@ -49,6 +50,11 @@ def parser() -> argparse.ArgumentParser:
         action="store_true",
         help="leave out Gaussians that no training view sees nor any neighbour within 2 cm; says what that changed",
     )
+    parser.add_argument(
+        "--motions",
+        metavar="NAME,FILE",
+        help="of a web page and what else is no bundle: built-in motions and files, the first plays at the start",
+    )
     parser.add_argument("--poses", type=int, default=8, metavar="N", help="poses to verify on (default: 8)")
     return parser
 
@@ -58,6 +64,8 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
+    from gavatar_runtime.motions import motions_named
+
     from ..face import open_run
 
     run = open_run(arguments.run, arguments.stage, arguments.capture)
@@ -65,6 +73,7 @@ def main(argv: list[str] | None = None) -> int:
         print(run.export(
             arguments.out, tiers=arguments.tiers or "", uv=arguments.uv, drop_unseen=arguments.drop_unseen,
             poses=arguments.poses, progress=True,
+            motions=None if arguments.motions is None else motions_named(arguments.motions),
         ))  # fmt: skip
     return 0
 

@@ -170,6 +170,18 @@ def test_exporting_to_a_page_leaves_no_bundle(run, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["anna.html"]
 
 
+def test_a_page_holds_the_motions_that_it_is_given(run, tmp_path):
+    run.export(tmp_path / "anna.html", poses=2, motions=["idle", "wave"])
+    text = (tmp_path / "anna.html").read_text()
+    assert text.index('"name":"idle"') < text.index('"name":"wave"')
+    assert '"name":"turn"' not in text
+    with pytest.raises(UserError, match="a bundle holds none"):
+        run.export(tmp_path / "anna.gavatar", motions=["wave"])
+    with pytest.raises(UserError, match="jmup"):
+        run.export(tmp_path / "other.html", motions=["jmup"])
+    assert [p.name for p in tmp_path.iterdir()] == ["anna.html"]
+
+
 def test_an_export_at_another_resolution_changes_neither_the_run_nor_its_scores(run, tmp_path):
     before = run.evaluate(["train"], fit_steps=0, perceptual=False, progress=False).rows[0].psnr
     assert run.export(tmp_path / "finer.gavatar", uv=96, poses=2).manifest.gaussians > run.gaussians

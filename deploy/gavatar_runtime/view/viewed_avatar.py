@@ -19,7 +19,7 @@ from ..avatar.playing import Avatar
 from ..bundle import Bundle
 from ..decoding.detail import MIN_UV, uv_for_count
 from ..errors import UserError, WrongValue, did_you_mean
-from ..motions import built_in_motions, read_motion
+from ..motions import MOTIONS, built_in_motions, read_motion
 from ..play.framing import body_points, facing
 from ..render.renderer import Renderer
 from ..tiers import stored_tiers
@@ -90,7 +90,7 @@ class ViewedAvatar:
         self._open: collections.OrderedDict[tuple[str, int | None], Renderer] = collections.OrderedDict()
         for motion in motions:
             self.add(motion)
-        for name in built_in_motions():
+        for name in (*MOTIONS.having(waits=True), *built_in_motions()):  # with none given, the person waits at first
             self._given.setdefault(name, name)
 
     @property

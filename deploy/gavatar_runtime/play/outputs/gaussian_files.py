@@ -19,7 +19,7 @@ from .output import FrameFormat, GaussianOutput, suffix_of
 @dataclasses.dataclass
 class GaussianFileOptions:
     """filmed: as large as the pixels of the training images showed them (`render.widening.as_filmed`); without, as they
-    were learned, which shows gaps to programs that draw finer pixels."""
+    were learned, which shows gaps to programs that draw finer pixels, and from which training could go on."""
 
     filmed: bool = True
 

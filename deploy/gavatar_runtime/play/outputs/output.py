@@ -94,7 +94,7 @@ class OutputTraits:
     preference: int = 0
 
 
-OUTPUTS: Registry[Output[Any]] = Registry("output", OutputTraits)
+OUTPUTS: Registry[Output[Any]] = Registry("output", OutputTraits, base=Output)
 
 
 def default_output() -> tuple[Component[Output[Any]], Component[Output[Any]]]:
@@ -114,7 +114,7 @@ def output_called(name: str) -> type[Output[Any]]:
     """The output of that name. Raises UserError with the choices where there is none."""
     if name not in OUTPUTS:
         load_entry_points()
-    return _class_of(OUTPUTS[name])
+    return OUTPUTS[name].kind
 
 
 def find_output(path: str | os.PathLike, name: str | None = None) -> type[Output[Any]]:
@@ -124,7 +124,7 @@ def find_output(path: str | os.PathLike, name: str | None = None) -> type[Output
     Plugins are imported only when no built-in output fits. Raises UserError for an unknown name, a suffix that nothing
     writes, or one that the output of that name does not.
     """
-    return _class_of(_find(path, name))
+    return _find(path, name).kind
 
 
 def open_output(
@@ -149,7 +149,7 @@ def save_gaussians(
     Raises UserError as `open_output` does, and for an output of images.
     """
     if find_output(path, name).wants != GaussianOutput.wants:
-        formats = [s for c in OUTPUTS if _class_of(c).wants == GaussianOutput.wants for s in _class_of(c).suffixes]
+        formats = [s for c in OUTPUTS if c.kind.wants == GaussianOutput.wants for s in c.kind.suffixes]
         raise WrongValue(
             f"{path} is an output of images, not of Gaussians: {_choices(suffix_of(path), tuple(formats))}"
         )
@@ -174,7 +174,7 @@ def _find(path: str | os.PathLike, name: str | None) -> Component[Output[Any]]:
         load_entry_points()
     found = _writers_of(suffix)
     if not found:
-        suffixes = tuple(s for component in OUTPUTS for s in _class_of(component).suffixes)
+        suffixes = tuple(s for component in OUTPUTS for s in component.kind.suffixes)
         raise WrongValue(f"cannot write '{path}': {_choices(suffix, suffixes)} (a name without suffix is a folder)")
     return found[0]
 
@@ -188,19 +188,10 @@ def suffix_of(path: str | os.PathLike) -> str:
 
 
 def _writers_of(suffix: str) -> list[Component[Output[Any]]]:
-    return _ranked(component for component in OUTPUTS if suffix in _class_of(component).suffixes)
+    return _ranked(component for component in OUTPUTS if suffix in component.kind.suffixes)
 
 
 def _choices(suffix: str, suffixes: tuple[str, ...]) -> str:
     """What may be given instead, of the kind that was given where there is one."""
     kinds = [s for s in suffixes if s.startswith(NUMBERED) == suffix.startswith(NUMBERED) and s != FOLDER]
     return did_you_mean(suffix, kinds or suffixes)
-
-
-def _class_of(component: Component[Output[Any]]) -> type[Output[Any]]:
-    factory = component.factory
-    if not (isinstance(factory, type) and issubclass(factory, Output)):
-        raise TypeError(
-            f"output '{component.name}' of {component.origin} is no class derived from ImageOutput or GaussianOutput"
-        )
-    return factory

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from ...values.gaussians import Gaussians
@@ -17,15 +15,8 @@ FIELDS = (
 )
 
 
-@dataclasses.dataclass
-class PlyOptions(GaussianFileOptions):
-    """filmed: as in `GaussianFileOptions`; a .ply holds what was learned, as training could go on from it."""
-
-    filmed: bool = False
-
-
 @OUTPUTS.register(
-    "ply", config=PlyOptions, summary="Gaussians as the .ply of 3D Gaussian Splatting, or one a frame: NAME/%06d.ply"
+    "ply", config=GaussianFileOptions, summary="Gaussians as the .ply of 3D Gaussian Splatting, or one a frame: NAME/%06d.ply"
 )
 class PlyFile(GaussianFiles):
     """Binary, little endian, float32, spherical harmonics of degree 0, in the order of the authors' own files (Kerbl et
