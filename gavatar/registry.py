@@ -7,6 +7,7 @@ cause, and the rest go on.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import importlib
@@ -22,6 +23,7 @@ from typing import Any
 from gavatar_runtime.components import Component, NoOptions, Registry
 from gavatar_runtime.conversions import CONVERSIONS
 from gavatar_runtime.decoding.pose_inputs import Shape, input_shapes
+from gavatar_runtime.live.drivers import DRIVERS
 from gavatar_runtime.motions import MOTIONS
 from gavatar_runtime.notes import Note
 from gavatar_runtime.play.outputs import OUTPUTS
@@ -105,16 +107,16 @@ CAPTURES: Registry = Registry("capture_format", CaptureTraits)
 TIERS: Registry = Registry("tier")
 
 REGISTRIES: tuple[Registry, ...] = (
-    BODIES, ENCODERS, DECODERS, RASTERIZERS, LOSSES, CAPTURES, MOTIONS, TIERS, OUTPUTS, CONVERSIONS,
+    BODIES, ENCODERS, DECODERS, RASTERIZERS, LOSSES, CAPTURES, MOTIONS, TIERS, OUTPUTS, CONVERSIONS, DRIVERS,
 )  # fmt: skip
 ENTRY_POINT_GROUP = "gavatar.plugins"
-PLUGIN_ROOMS = ("bodies", "captures", "decoders", "encoders", "losses", "rasterizers", "tiers")
+PLUGIN_ROOMS = ("bodies", "captures", "decoders", "drivers", "encoders", "losses", "rasterizers", "tiers")
 
 __all__ = [
-    "BODIES", "CAPTURES", "CONVERSIONS", "DECODERS", "ENCODERS", "LOSSES", "MOTIONS", "OUTPUTS", "RASTERIZERS",
-    "REGISTRIES", "TIERS", "BodyTraits", "CaptureTraits", "Component", "DecoderTraits", "EncoderTraits",
+    "BODIES", "CAPTURES", "CONVERSIONS", "DECODERS", "DRIVERS", "ENCODERS", "LOSSES", "MOTIONS", "OUTPUTS",
+    "RASTERIZERS", "REGISTRIES", "TIERS", "BodyTraits", "CaptureTraits", "Component", "DecoderTraits", "EncoderTraits",
     "LossTraits", "NoOptions", "PluginFailure", "RasterizerTraits", "Registry", "fill_config_store", "load_plugins",
-    "resolve",
+    "load_room", "resolve",
 ]  # fmt: skip
 
 
@@ -150,6 +152,15 @@ def _builtin_modules() -> list[str]:
     """
     rooms = [_room(room) for room in PLUGIN_ROOMS]
     return sorted(module.name for room in rooms for module in pkgutil.iter_modules(room.__path__, f"{room.__name__}."))
+
+
+def load_room(name: str) -> None:
+    """Import what the room of that name registers, for whoever needs nothing else; what fails there is told by
+    `load_plugins` alone."""
+    room = _room(name)
+    for module in pkgutil.iter_modules(room.__path__, f"{room.__name__}."):
+        with contextlib.suppress(Exception):
+            importlib.import_module(module.name)
 
 
 @functools.cache

@@ -14,6 +14,8 @@ from typing import Any
 
 from gavatar_runtime.components import Component
 from gavatar_runtime.errors import UserError, did_you_mean, exit_cleanly
+from gavatar_runtime.live.drivers import ENTRY_POINT_GROUP as DRIVERS_GROUP
+from gavatar_runtime.plugins import load_entry_points
 
 from ..optional import install_command
 from ..registry import REGISTRIES, PluginFailure, load_plugins
@@ -154,6 +156,7 @@ def main(argv: list[str] | None = None) -> int:
     with warnings.catch_warnings(record=True) as caught:  # failures are printed below; anything else is passed on
         warnings.simplefilter("always")
         failures = load_plugins()
+        load_entry_points(DRIVERS_GROUP)
     for warning in caught:
         if " skipped" not in str(warning.message):
             print(f"warning: {warning.message}", file=sys.stderr)

@@ -15,7 +15,7 @@ from gavatar_runtime.geometry.rotations import axis_angle_from_matrix, matrix_fr
 from gavatar_runtime.values.camera import Camera
 
 from ..preparation.anatomy import joint_ranges
-from ..preparation.initial import guess_camera, rays, torso_frames
+from ..preparation.initial import DEFAULT_FOV, guess_camera, rays, torso_frames
 from ..preparation.landmarks import BONES, INDEX, MIRROR, Landmarks
 from .live_skeleton import LiveSkeleton
 
@@ -56,12 +56,12 @@ class Fitted:
 class CausalFit:
     """One person followed through pictures of one camera that stands still and level.
 
-    skeleton: at the mean lengths of bones. Called with each picture's landmarks in turn; `reset` before another person
-    or another camera.
+    skeleton: at the mean lengths of bones. fov: of the camera, degrees over the longer side of its pictures. Called
+    with each picture's landmarks in turn; `reset` before another person or another camera.
     """
 
-    def __init__(self, skeleton: LiveSkeleton):
-        self.mean = skeleton
+    def __init__(self, skeleton: LiveSkeleton, fov: float = DEFAULT_FOV):
+        self.mean, self.fov = skeleton, fov
         low, high, mean, sigma = joint_ranges(skeleton.names)
         self._low, self._high, self._usual, self._sigma = low[1:], high[1:], mean[1:], sigma[1:]
         self._usual_lengths = skeleton.lengths(skeleton.points)
@@ -88,7 +88,7 @@ class CausalFit:
         axes. size: width and height of the picture. time: seconds, later than the one before; else it counts as the
         next picture of 30 a second.
         """
-        camera = guess_camera(*size)
+        camera = guess_camera(*size, self.fov)
         marks = Landmarks(image[None], visibility[None], world[None])
         space = (world @ rays(camera, marks)[0].T) @ camera.T_camera_world[:3, :3]
         image, visibility, space = self._read(image, visibility, space, camera)

@@ -8,6 +8,7 @@ from gavatar_runtime.geometry.rotations import axis_angle_from_matrix
 from gavatar_runtime.live.drivers import Seen
 from gavatar_runtime.values.body import BodyData
 
+from ..preparation.initial import DEFAULT_FOV
 from ..preparation.landmarks import INDEX
 from ..preparation.pose_network import PoseNetworks, Region
 from ..preparation.track import PRESENT
@@ -23,12 +24,12 @@ class PersonFollower:
     """Follows the largest person of a camera that stands still and level.
 
     body: whose landmarks are fitted. networks: as preparation has them; they are not asked about the mirror image,
-    which would halve the rate.
+    which would halve the rate. fov: of the camera, degrees over the longer side of its pictures.
     """
 
-    def __init__(self, body: BodyData, networks: PoseNetworks | None = None):
+    def __init__(self, body: BodyData, networks: PoseNetworks | None = None, fov: float = DEFAULT_FOV):
         self.networks = networks or PoseNetworks()
-        self.fit = CausalFit(LiveSkeleton.of(body))
+        self.fit = CausalFit(LiveSkeleton.of(body), fov)
         self.reset()
 
     def reset(self) -> None:

@@ -32,6 +32,7 @@ AUTO = "the word for an option that decides by itself"
 # words that mean something else where they stand, and what
 WORDS = {
     ("gavatar/capture/reading.py", "none"): "there is no field",
+    ("gavatar/cli/prepare.py", "landmarks"): "an option: a file of points of the body",
     ("gavatar/config.py", "auto"): AUTO,
     ("gavatar/assemble.py", "auto"): AUTO,
     ("gavatar/evaluation/comparison.py", "perceptual"): "the metric",

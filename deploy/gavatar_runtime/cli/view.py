@@ -9,13 +9,14 @@ import threading
 import webbrowser
 
 from ..errors import exit_cleanly, options_spelled
-from .settings import as_flags
+from .settings import as_flags, as_settings, parse_options
 
 DESCRIPTION = "Look at an avatar in a browser: turn it, play its motions, drop motion files on it. Nothing to install."
 EPILOG = """examples
   gavatar-view anna.gavatar
   gavatar-view anna.gavatar --motion dance.npz,wave
   gavatar-view anna.gavatar --drive 0                     the avatar does as you do before webcam 0
+  gavatar-view anna.gavatar --drive 0 --set fov=65        a camera that sees more of the room
   gavatar-view anna.gavatar --port 8000 --no-browser      on another machine; from yours:
                                                            ssh -L 8000:127.0.0.1:8000 THAT_MACHINE
 The page is served to this machine alone, at the address that is printed. --host opens it to others, who need the
@@ -31,6 +32,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--motion", metavar="NAME,FILE", default="", help="more motions; the first plays")
     p.add_argument("--tier", metavar="NAME", help="how it is decoded at the start (default: the first that it holds)")
     p.add_argument("--drive", metavar="CAMERA", help="a webcam by its number, or a video: it does as that person")
+    p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="an option of the driver "
+                   "(gavatar-list driver): fov=65, degrees that the camera sees over its longer side")  # fmt: skip
     p.add_argument("--host", default="127.0.0.1", help="address to listen on (default: 127.0.0.1, this machine alone)")
     p.add_argument("--port", type=int, default=0, help="port to listen on (default: any that is free)")
     p.add_argument("--no-browser", action="store_true", help="only print the address")
@@ -43,6 +46,7 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry point."""
     arguments = parser().parse_args(argv)
     from ..bundle import read_bundle
+    from ..live.drivers import build_driver
     from ..live.sources import source_to_drive
     from ..motions import motions_named
     from ..view.drive import Drive
@@ -53,7 +57,9 @@ def main(argv: list[str] | None = None) -> int:
         bundle, motions = read_bundle(arguments.avatar), motions_named(arguments.motion)
         scene = ViewedAvatar(bundle, motions, tier=arguments.tier, threads=arguments.threads)
         source = None if arguments.drive is None else source_to_drive(arguments.drive)
-        scene.drive = Drive(scene.body, source)
+        with options_spelled(as_settings("")):
+            driver = build_driver(parse_options(arguments.set)) if arguments.set else None
+        scene.drive = Drive(scene.body, source, driver)
         viewer = Viewer(scene, arguments.host, arguments.port)
     with viewer:
         print(f"{scene.bundle.manifest.name}: {viewer.address}", flush=True)

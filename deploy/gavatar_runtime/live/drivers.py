@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -61,9 +62,10 @@ def why_not() -> str:
     return DRIVERS[DRIVERS.default].missing()
 
 
-def build_driver() -> Driver:
-    """The driver that is taken where none is named. Raises UserError where there is none (`why_not`)."""
+def build_driver(options: Mapping[str, Any] | None = None) -> Driver:
+    """The driver that is taken where none is named, with options of its own. Raises UserError where there is none
+    (`why_not`), and for an option that it lacks or cannot have."""
     reason = why_not()
     if reason:
         raise UserError(reason)
-    return DRIVERS.build(DRIVERS.default)
+    return DRIVERS.build(DRIVERS.default, options)

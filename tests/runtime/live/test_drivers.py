@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 from live_people import Told
 
@@ -55,3 +58,17 @@ def test_the_shipped_one_is_found_by_its_entry_point():
     assert "landmarks" in {point.name for point in points}, "install the package again: it has a new entry point"
     assert why_not() == ""
     assert "landmarks" in drivers.DRIVERS
+
+
+def test_the_shipped_one_needs_no_torch_and_takes_its_camera_as_it_is_told():
+    pytest.importorskip("cv2", reason="the driver needs OpenCV")
+    code = (
+        "import sys\nfrom gavatar_runtime.live.drivers import build_driver\ndriver = build_driver({'fov': 65})\n"
+        "assert not {'torch', 'hydra'} & set(sys.modules)\nassert driver._person.fit.fov == 65\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    with pytest.raises(UserError, match="fov=200"):
+        build_driver({"fov": 200})
+    with pytest.raises(UserError, match="fow"):
+        build_driver({"fow": 60})

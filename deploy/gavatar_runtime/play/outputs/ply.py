@@ -16,7 +16,9 @@ FIELDS = (
 
 
 @OUTPUTS.register(
-    "ply", config=GaussianFileOptions, summary="Gaussians as the .ply of 3D Gaussian Splatting, or one a frame: NAME/%06d.ply"
+    "ply",
+    config=GaussianFileOptions,
+    summary="Gaussians as the .ply of 3D Gaussian Splatting, or one a frame: NAME/%06d.ply",
 )
 class PlyFile(GaussianFiles):
     """Binary, little endian, float32, spherical harmonics of degree 0, in the order of the authors' own files (Kerbl et
