@@ -77,7 +77,7 @@ class MotionConfig:
     sharing_end: float = 0.7
     guard: bool = True
     mend: Any = AUTO
-    betas: Any = False
+    betas: Any = AUTO
     lr_betas: float = 1.0e-2
     stage2: float = 0.0
     stage2_trans: float = 0.0

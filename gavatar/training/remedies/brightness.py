@@ -13,43 +13,55 @@ from ..scene import Scene
 DRIFTS = 0.07  # of the logarithm; light that changes with the pose gives 0.05 at most, a drift by a tenth 0.07
 INSIDE = 0.95  # of mask and rendered alpha, from which a pixel counts as one of the person
 FITS = 0.7  # share of the pixels that are believed, those that differ least
+JUDGES = 48  # views that judge, spread evenly; all are measured only where brightness drifts
 LEAST_VIEWS, LEAST_PIXELS = 8, 100
 
 
 @dataclasses.dataclass(frozen=True)
 class Brightness:
-    """log_gain: (V, 3) of red, green and blue, the brightness of each view beside the avatar's, 0 in the mean. common:
-    root mean square of the part that upper and lower, left and right halves of the person have in common."""
+    """log_gain: (V, 3) of red, green and blue, the brightness of each view beside the avatar's, 0 in the mean; None
+    where it does not drift. common: root mean square of the part that upper and lower, left and right halves of the
+    person have in common."""
 
-    log_gain: np.ndarray
+    log_gain: np.ndarray | None
     common: float
 
     @property
     def drifts(self) -> bool:
         """Whether this is the camera, not the light: parts of a body that turns under lamps do not brighten alike."""
-        return self.common > DRIFTS
+        return self.log_gain is not None
 
 
 @torch.no_grad()
 def brightness(scene: Scene, scale: float) -> Brightness | None:
     """The brightness of all views beside what the static avatar shows in them at an image scale, None where too few of
     them show enough of the person."""
-    avatar = scene.avatar
+    views = len(scene.views)
+    judged = _measured(scene, scale, np.unique(np.linspace(0, views - 1, JUDGES).round().astype(int)))
+    known = np.isfinite(judged).all(1)
+    if known.sum() < LEAST_VIEWS:
+        return None
+    judged = judged[known] - judged[known].mean(0)
+    shared = [float((judged[:, a] * judged[:, b]).mean()) for a, b in ((3, 4), (5, 6))]
+    common = round(float(np.sqrt(max(0.0, min(shared)))), 4)
+    if not common > DRIFTS:
+        return Brightness(None, common)
+    gains = _measured(scene, scale, np.arange(views))[:, :3]
+    known = np.isfinite(gains).all(1)
+    return Brightness(np.where(known[:, None], gains - gains[known].mean(0), 0.0), common)
+
+
+def _measured(scene: Scene, scale: float, rows: np.ndarray) -> np.ndarray:
+    """(R, 7) logarithms for each of the views: red, green, blue, and all of the upper, lower, left and right half."""
+    avatar, found = scene.avatar, []
     training = avatar.training
     avatar.eval()
     attributes, black = avatar.attributes(), torch.zeros(3)
-    found = []
-    for row in range(len(scene.views)):
+    for row in rows.tolist():
         seen = scene.compare([row], scale, attributes, background=black)
         found.append(_ratios(seen.target[0], seen.render[0], torch.minimum(seen.mask[0], seen.alpha[0]) > INSIDE))
     avatar.train(training)
-    values = np.array(found)  # (V, 7): red, green, blue, upper, lower, left, right
-    known = np.isfinite(values).all(1)
-    if known.sum() < LEAST_VIEWS:
-        return None
-    values = np.where(known[:, None], values - values[known].mean(0), 0.0)
-    shared = [float((values[known, a] * values[known, b]).mean()) for a, b in ((3, 4), (5, 6))]
-    return Brightness(values[:, :3], round(float(np.sqrt(max(0.0, min(shared)))), 4))
+    return np.array(found)
 
 
 def _ratios(target: Tensor, render: Tensor, inside: Tensor) -> list[float]:

@@ -171,7 +171,7 @@ def test_presets_of_ours_leave_the_choice_to_the_footage(preset):
     config = check(compose_config(["capture=x", "out=x", f"experiment={preset}"]))
     motion = config.motion
     chosen = [config.mask_matte, config.exposure, motion.start, motion.sharing, motion.mend, motion.betas]
-    assert chosen == ["auto"] * 5 + [False]
+    assert chosen == ["auto"] * 6
 
 
 @pytest.mark.parametrize("preset", ["paper", "upstream"])
