@@ -1,6 +1,6 @@
 r"""The paper's ablation on one capture: baseline, +opt (motion), +opt+dyn (pose encoder), for presets and seeds.
 
-python benchmarks/ablation.py CAPTURE --presets paper,upstream,default --seeds 0,1 --uv 256 --steps 1500/600 \
+python benchmarks/ablation.py CAPTURE --presets paper,upstream,default --seeds 0,1 --gaussians 41516 --steps 1500/600 \
     --device cuda --jobs 4 --out runs/ablation --json ablation.json
 
 Every run of one call has the same data, images, atlas and step counts; what differs is the preset, whether motion
@@ -25,7 +25,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gavatar.config import check, compose_config
+from gavatar.config import LevelConfig, check, compose_config
 from gavatar.evaluation.joint_errors import motion_errors
 from gavatar.evaluation.result import Evaluation
 from gavatar.evaluation.scores import Evaluator, evaluate
@@ -53,7 +53,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("capture", type=Path, help="a capture with true poses, for example studio_male")
     parser.add_argument("--presets", default=",".join(PRESETS), help="experiments to compare (%(default)s)")
     parser.add_argument("--seeds", default="0", help="comma-separated (%(default)s)")
-    parser.add_argument("--uv", type=int, help="side of the last level's atlas; coarser levels shrink alike")
+    parser.add_argument("--gaussians", type=int, help="of the last level; coarser levels shrink alike")
     parser.add_argument(
         "--image", type=float, default=1.0, help="factor on the images of every level and of the scores (%(default)s)"
     )
@@ -93,13 +93,21 @@ def overrides(args: argparse.Namespace, preset: str, kind: str, seed: str) -> li
         out.append(f"decoder.scale_warmup={max(1, round(config.decoder['scale_warmup'] * steps[0] / UPSTREAM_STEPS))}")
     for stage in ("stage1", "stage2"):
         levels = getattr(config, stage).levels
-        factor = args.uv / levels[-1].uv if args.uv else 1
+        points = [_points(level, levels[-1], args.gaussians) for level in levels]
         sized = [
-            f"{{until: {x.until}, uv: {max(64, round(x.uv * factor / 8) * 8)}, image: {x.image * args.image}}}"
-            for x in levels
+            f"{{until: {x.until}, {number}, image: {x.image * args.image}}}"
+            for x, number in zip(levels, points, strict=True)
         ]
         out.append(f"{stage}.levels=[{', '.join(sized)}]")
     return out
+
+
+def _points(level: LevelConfig, last: LevelConfig, gaussians: int | None) -> str:
+    """How many points a level has, as a setting, where the last one has `gaussians`, or its own number."""
+    if gaussians is None:
+        return f"uv: {level.uv}" if level.gaussians is None else f"gaussians: {level.gaussians}"
+    share = (level.uv / last.uv) ** 2 if level.gaussians is None else level.gaussians / last.gaussians
+    return f"gaussians: {max(1, round(share * gaussians))}"
 
 
 def run_directory(args: argparse.Namespace, preset: str, kind: str, seed: str) -> Path:

@@ -33,7 +33,7 @@ from gavatar.training.run import open_run, train
 from gavatar_runtime.errors import exit_cleanly
 from gavatar_runtime.geometry.rotations import matrix_from_axis_angle
 
-LEVELS = "[{until:0.65,uv:64,image:0.25},{until:1.0,uv:128,image:0.5}]"
+LEVELS = "[{until:0.65,gaussians:2850,image:0.25},{until:1.0,gaussians:10700,image:0.5}]"
 STATIC = ["encoder=none", "stage2.steps=0"]
 # of every run but those named `auto`: nothing is decided by what is measured
 BY_HAND = ["mask_matte=0", "exposure=false", "motion.mend=0", "motion.betas=false", "motion.start=0"]
@@ -240,7 +240,7 @@ def trained(args: argparse.Namespace, capture: Capture, variant: Variant) -> Pat
         source = planted(capture, args.out / poses / "captures" / (variant.fault or "none"), not args.estimated,
                          variant.fault)  # fmt: skip
         base = [f"capture={source}", f"out={directory}", "experiment=demo", f"stage1.steps={args.steps}"]
-        base += [f"stage1.levels={LEVELS}", "stage2.levels=[{until:1.0,uv:128,image:0.5}]", "progress=false"]
+        base += [f"stage1.levels={LEVELS}", "stage2.levels=[{until:1.0,gaussians:10700,image:0.5}]", "progress=false"]
         base += ["preview_every=1000000", "checkpoint_every=1000000", "overwrite=true"]
         if not args.estimated:
             base.append("motion.enabled=false")

@@ -167,7 +167,7 @@ class Checks:
 
     def training(self) -> None:
         """Steps of stage 1 on whole images, no coarse levels: what the finest level costs."""
-        steps, uv = (2, 64) if self.arguments.quick else (self.arguments.steps, 512)
+        steps, gaussians = (2, 3000) if self.arguments.quick else (self.arguments.steps, 163_000)
         names = ("gsplat", "torch") if self.arguments.device == "cuda" else ("native", "torch")
         rows = []
         for name in names:
@@ -175,7 +175,7 @@ class Checks:
             self.call(f"training {name}", [
                 sys.executable, "-m", "gavatar.cli.train", f"capture={self.arguments.capture}", f"out={run}",
                 f"rasterizer={name}", f"device={self.arguments.device}", "encoder=none", f"stage1.steps={steps}",
-                "stage1.batch=2", f"stage1.levels=[{{until:1.0,uv:{uv},image:1.0}}]", "progress=false",
+                "stage1.batch=2", f"stage1.levels=[{{until:1.0,gaussians:{gaussians},image:1.0}}]", "progress=false",
                 "preview_every=100000", "checkpoint_every=100000", "overwrite=true", "losses=demo",
             ], 60)  # fmt: skip
             if (run / "metrics.json").is_file():

@@ -28,7 +28,7 @@ from gavatar_runtime.render.choice import build_rasterizer
 
 SETTINGS = [
     "experiment=demo", "encoder=none", "progress=false", "stage1.steps=500", "stage1.batch=4",
-    "stage1.levels=[{until:0.6,uv:64,image:0.5},{until:1.0,uv:128,image:1.0}]",
+    "stage1.levels=[{until:0.6,gaussians:2850,image:0.5},{until:1.0,gaussians:10700,image:1.0}]",
 ]  # fmt: skip
 
 

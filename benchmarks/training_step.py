@@ -1,6 +1,6 @@
 """Seconds a training step and where they go, by the number of Gaussians, for both stages.
 
-python benchmarks/training_step.py capture=DIR experiment=default --uv 141,284,568 --steps 5 --json steps.json
+python benchmarks/training_step.py capture=DIR experiment=default --gaussians 13000,51000 --steps 5 --json steps.json
 
 Atlas sides 141, 284 and 568 give about 12,500, 50,000 and 200,000 Gaussians on the free body. Medians over the steps
 after the first. Overrides set everything else (stage1.batch, device, rasterizer).
@@ -57,10 +57,10 @@ class Clock:
         setattr(owner, name, timed)
 
 
-def measure(overrides: list[str], uv: int, steps: int, folder: Path) -> list[dict]:
+def measure(overrides: list[str], gaussians: int, steps: int, folder: Path) -> list[dict]:
     """One row a stage: median seconds of a step and of its parts."""
     image = next((o.split("=")[1] for o in overrides if o.startswith("image=")), "1.0")
-    levels = [f"stage{n}.levels=[{{until: 1.0, uv: {uv}, image: {image}}}]" for n in (1, 2)]
+    levels = [f"stage{n}.levels=[{{until: 1.0, gaussians: {gaussians}, image: {image}}}]" for n in (1, 2)]
     plain = [o for o in overrides if not o.startswith("image=")]
     config = compose_config([*plain, *levels, f"out={folder}", "progress=false", "preview_every=1000000"])
     trainer = Trainer(check(config), folder)
@@ -76,12 +76,12 @@ def measure(overrides: list[str], uv: int, steps: int, folder: Path) -> list[dic
     clock.wrap(Footage, "batch", "images")
     clock.wrap(torch.Tensor, "backward", "backward")
     try:
-        return [_stage(trainer.stage(plan.number), clock, uv, steps) for plan in trainer.plans]
+        return [_stage(trainer.stage(plan.number), clock, steps) for plan in trainer.plans]
     finally:
         Footage.batch, torch.Tensor.backward = batch, backward
 
 
-def _stage(stage: Stage, clock: Clock, uv: int, steps: int) -> dict:
+def _stage(stage: Stage, clock: Clock, steps: int) -> dict:
     clock.wrap(stage.optimizers["optimizer"], "step", "optimiser")
     avatar = stage.scene.avatar.train()
     times = []
@@ -94,14 +94,14 @@ def _stage(stage: Stage, clock: Clock, uv: int, steps: int) -> dict:
         times.append({"total": clock.now() - start} | parts)
     median = {k: float(np.median([t.get(k, 0.0) for t in times[1:]])) for k in ["total", *PARTS]}
     plan = stage.plan
-    about = {"stage": plan.number, "uv": uv, "gaussians": len(avatar.surface), "batch": plan.stage.batch}
+    about = {"stage": plan.number, "gaussians": len(avatar.surface), "batch": plan.stage.batch}
     return about | {k: round(v, 4) for k, v in median.items()}
 
 
 @exit_cleanly
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--uv", default="141,284,568", help="atlas sides (%(default)s)")
+    parser.add_argument("--gaussians", default="13000,51000,200000", help="numbers of them (%(default)s)")
     parser.add_argument("--steps", type=int, default=5, help="timed steps a stage (%(default)s)")
     parser.add_argument("--json", type=Path, metavar="FILE")
     arguments, overrides = parser.parse_known_args()
@@ -109,8 +109,8 @@ def main() -> None:
         overrides.append(f"capture={demo_capture()}")
     rows: list[dict] = []
     with tempfile.TemporaryDirectory() as folder:
-        for uv in map(int, arguments.uv.split(",")):
-            rows += measure(overrides, uv, arguments.steps, Path(folder) / str(uv))
+        for gaussians in map(int, arguments.gaussians.split(",")):
+            rows += measure(overrides, gaussians, arguments.steps, Path(folder) / str(gaussians))
     header = ["stage", "Gaussians", "s/step", *PARTS]
     cells = [[f"{r['stage']}, batch {r['batch']}", str(r["gaussians"]), f"{r['total']:.3f}",
               *(f"{r[p]:.3f}" for p in PARTS)] for r in rows]  # fmt: skip

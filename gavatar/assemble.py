@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,14 +16,15 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.motions.fitting import EXPRESSIONS, HAND_DATA, fit_motion
 from gavatar_runtime.notes import Note
 from gavatar_runtime.values.body import BodyData
-from gavatar_runtime.values.surface import Atlas
+from gavatar_runtime.values.surface import Atlas, Surface
 
 from .avatar.atlas import check_resolution, sample_atlas
 from .avatar.trainable import Avatar, AvatarConfig
 from .body.skeleton import Skeleton
 from .capture.capture import Capture
-from .protocols import Body, Rasterizer
-from .registry import BODIES, DECODERS, ENCODERS, RASTERIZERS, resolve, split_node
+from .config import LevelConfig, TrainConfig
+from .protocols import Body, PointPolicy, Rasterizer
+from .registry import BODIES, DECODERS, ENCODERS, POINTS, RASTERIZERS, PointTraits, resolve, split_node
 
 
 def choose_device(name: str) -> torch.device:
@@ -82,23 +84,50 @@ def capture_on_body(capture: Capture, data: BodyData) -> Capture:
 
 @dataclasses.dataclass
 class AvatarBuild:
-    """An untrained avatar and what it stands on. atlas(R) samples the body's atlas at R x R texels, cached."""
+    """An untrained avatar and what it stands on: the points that `policy` places on its body, and maps over that.
+
+    levels: at which it is trained; with a policy whose points are no texels, those of each are a prefix of the finest.
+    """
 
     body: Body
     betas: np.ndarray | None
     avatar: Avatar
+    policy: PointPolicy
+    policy_traits: PointTraits = dataclasses.field(default_factory=PointTraits)
+    levels: Sequence[LevelConfig] = ()
     canonical: dict[int, Atlas] = dataclasses.field(default_factory=dict)
+    surfaces: dict[int, Surface] = dataclasses.field(default_factory=dict)
 
     def atlas(self, resolution: int) -> Atlas:
+        """The body's atlas at `resolution` x `resolution` texels, a grid for maps; cached."""
         if resolution not in self.canonical:
             self.canonical[resolution] = sample_atlas(self.body.data, self.betas, resolution)
         return self.canonical[resolution]
+
+    def count(self, level: LevelConfig) -> int:
+        """The number of points of a level: what it says, or that of the texels of the atlas it names."""
+        if level.gaussians is not None:
+            return level.gaussians
+        if level.uv is None:
+            raise ValueError("a level names neither a number of points nor an atlas")
+        return len(self.atlas(level.uv))
+
+    def surface(self, count: int) -> Surface:
+        """`count` points of the body, where its Gaussians are; cached."""
+        if count not in self.surfaces:
+            finest = count if self.policy_traits.texels else max([count, *map(self.count, self.levels)])
+            if finest == count:
+                self.surfaces[count] = self.policy.sample(self.body.data, self.betas, count)
+            else:
+                self.surfaces[count] = self.surface(finest).prefix(count)
+        return self.surfaces[count]
 
     def reshape(self, betas: np.ndarray) -> None:
         """The same avatar on the body of other shape coefficients; what was sampled of the former is forgotten."""
         device = self.avatar.features.device
         self.betas = betas
         self.canonical.clear()
+        self.surfaces.clear()
         self.avatar.skeleton = Skeleton(self.body.data, betas).to(device)
 
     def encoder_tensors(self, poses: np.ndarray) -> list[torch.Tensor]:
@@ -109,10 +138,11 @@ class AvatarBuild:
 
 
 def build_avatar(
-    body_node: dict, encoder_node: dict, decoder_node: dict, avatar: AvatarConfig, capture: Capture, seed: int
-) -> AvatarBuild:
+    body_node: dict, encoder_node: dict, decoder_node: dict, avatar: AvatarConfig, capture: Capture, seed: int,
+    points_node: dict | None = None, levels: Sequence[LevelConfig] = (),
+) -> AvatarBuild:  # fmt: skip
     """An avatar of the capture's body, shaped by its betas, with freshly initialised parameters (a function of `seed`
-    alone)."""
+    alone). points_node: of the policy that places its points, None for the usual one. levels: see `AvatarBuild`."""
     body = build_body(body_node, capture)
     if avatar.pose_blendshapes and body.data.posedirs is None:
         raise UserError(
@@ -128,7 +158,17 @@ def build_avatar(
             if encoder_traits.inputs != input_shapes(*encoder_traits.inputs):
                 raise UserError(f"encoder '{encoder_node['name']}': its inputs have other shapes than it declares")
         skeleton = Skeleton(body.data, betas)
-        return AvatarBuild(body, betas, Avatar(avatar, skeleton, encoder, decoder, encoder_traits, decoder_traits))
+        made = Avatar(avatar, skeleton, encoder, decoder, encoder_traits, decoder_traits)
+    name, options = split_node({"name": POINTS.default} if points_node is None else points_node)
+    return AvatarBuild(body, betas, made, POINTS.build(name, options), POINTS.traits(name, options), levels)
+
+
+def build_configured(config: TrainConfig, capture: Capture) -> AvatarBuild:
+    """The untrained avatar of a configuration."""
+    levels = [*config.stage1.levels, *config.stage2.levels]
+    return build_avatar(
+        config.body, config.encoder, config.decoder, config.avatar, capture, config.seed, config.points, levels
+    )
 
 
 # what an encoder or decoder may have, and the trait that says so: nothing else would look for it

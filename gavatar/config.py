@@ -15,9 +15,10 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from gavatar_runtime.errors import UserError
 
 from .avatar.atlas import check_resolution
+from .avatar.points import check_count
 from .avatar.trainable import AvatarConfig
 from .losses import loss_config
-from .registry import BODIES, DECODERS, ENCODERS, RASTERIZERS, fill_config_store, load_plugins
+from .registry import BODIES, DECODERS, ENCODERS, POINTS, RASTERIZERS, fill_config_store, load_plugins
 
 PRECISIONS = ("auto", "float32", "bfloat16")
 DYNAMICS = ("always", "auto")
@@ -26,11 +27,12 @@ AUTO = "auto"  # of a remedy: decided by what is measured on the footage
 
 @dataclasses.dataclass
 class LevelConfig:
-    """One level of coarse-to-fine training. until: fraction of the stage at which it ends. uv: side of the surface
-    atlas (its texels are the Gaussians). image: scale of the images."""
+    """One level of coarse-to-fine training. until: fraction of the stage at which it ends. gaussians: how many there
+    are; uv: instead, as many as the body's atlas of this side has texels. image: scale of the images."""
 
     until: float = 1.0
-    uv: int = 128
+    gaussians: int | None = None
+    uv: int | None = None
     image: float = 1.0
 
 
@@ -46,7 +48,7 @@ class StageConfig:
     lr_features: float = 2e-2
     lr_encoder: float = 1e-3
     lr_final: float = 0.05
-    levels: list[LevelConfig] = dataclasses.field(default_factory=lambda: [LevelConfig()])
+    levels: list[LevelConfig] = dataclasses.field(default_factory=lambda: [LevelConfig(gaussians=10_000)])
 
 
 @dataclasses.dataclass
@@ -119,6 +121,7 @@ class TrainConfig:
     tensorboard: bool = False
     progress: bool = True
     body: Any = MISSING
+    points: Any = MISSING
     encoder: Any = MISSING
     decoder: Any = MISSING
     rasterizer: Any = MISSING
@@ -151,7 +154,8 @@ def check(config: DictConfig) -> TrainConfig:
         raise UserError("no capture given: add capture=DIR (for a first try: gavatar-demo)")
     plain: Any = OmegaConf.to_container(config, resolve=True)
     fields = {f.name for f in dataclasses.fields(TrainConfig)}
-    typed = TrainConfig(**{k: v for k, v in plain.items() if k in fields})
+    former = {"name": POINTS.having(former=True)[0]}  # of runs that do not say where their points are
+    typed = TrainConfig(**{"points": former} | {k: v for k, v in plain.items() if k in fields})
     typed.avatar = AvatarConfig(**plain["avatar"])
     typed.motion = MotionConfig(**plain["motion"])
     for stage in ("stage1", "stage2"):
@@ -159,8 +163,8 @@ def check(config: DictConfig) -> TrainConfig:
         values["levels"] = [LevelConfig(**level) for level in values["levels"]]
         setattr(typed, stage, StageConfig(**values))
         _check_stage(stage, getattr(typed, stage))
-    for registry in (BODIES, ENCODERS, DECODERS, RASTERIZERS):
-        node = plain[registry.group]
+    for registry in (BODIES, POINTS, ENCODERS, DECODERS, RASTERIZERS):
+        node = getattr(typed, registry.group)
         registry.options(node["name"], node)
     for name, value in typed.losses.items():
         loss_config(name, value)
@@ -214,7 +218,14 @@ def _check_stage(name: str, stage: StageConfig) -> None:
     if ends != sorted(ends) or ends[-1] != 1.0 or ends[0] <= 0:
         raise UserError(f"{name}.levels: 'until' must rise to 1.0, not {ends}")
     for level in stage.levels:
-        check_resolution(level.uv, f"{name}.levels: uv")
+        if (level.gaussians is None) == (level.uv is None):
+            raise UserError(
+                f"{name}.levels: each level has either 'gaussians', their number, or 'uv', a side of the atlas"
+            )
+        if level.uv is not None:
+            check_resolution(level.uv, f"{name}.levels: uv")
+        else:
+            check_count(level.gaussians, f"{name}.levels: gaussians")
         if not 0 < level.image <= 4:
             raise UserError(f"{name}.levels: image must be within (0, 4], not {level.image}")
 

@@ -20,9 +20,9 @@ from omegaconf.errors import OmegaConfBaseException
 from gavatar_runtime.errors import UserError, did_you_mean
 
 from .config import TrainConfig, check, compose_config
-from .registry import BODIES, CAPTURES, DECODERS, ENCODERS, RASTERIZERS
+from .registry import BODIES, CAPTURES, DECODERS, ENCODERS, POINTS, RASTERIZERS
 
-REGISTERED = {registry.group: registry for registry in (BODIES, CAPTURES, DECODERS, ENCODERS, RASTERIZERS)}
+REGISTERED = {registry.group: registry for registry in (BODIES, CAPTURES, DECODERS, ENCODERS, POINTS, RASTERIZERS)}
 PLAIN = re.compile(r"[A-Za-z_][A-Za-z_0-9-]*")  # a string that Hydra's grammar takes without quotes
 WORDS = ("null", "true", "false", "nan", "inf")  # that it takes for values of other kinds
 

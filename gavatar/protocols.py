@@ -37,6 +37,7 @@ __all__ = [
     "Decoder",
     "Encoder",
     "Loss",
+    "PointPolicy",
     "Rasterizer",
     "TierBuilder",
     "TierSource",
@@ -48,6 +49,15 @@ class Body(Protocol):
 
     data: BodyData
     license: str
+
+
+class PointPolicy(Protocol):
+    """A component of `POINTS`, built as `factory(options)`: says where on a body its Gaussians are."""
+
+    def sample(self, body: BodyData, betas: np.ndarray | None, count: int) -> Surface:
+        """`count` points of a body of shape `betas`, always the same ones; `gavatar.avatar.points.sample_points` makes
+        them of a density. UserError for a number that it cannot give."""
+        raise NotImplementedError
 
 
 class CaptureReader(Protocol):

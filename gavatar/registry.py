@@ -91,6 +91,16 @@ class LossTraits:
 
 
 @dataclasses.dataclass(frozen=True)
+class PointTraits:
+    """texels: its points are texels of the UV atlas, so that a level may name a side of it (`uv`) as well, and each
+    number of points is a sampling of its own; else a smaller number is a prefix of a larger. former: runs that say
+    nothing of points were trained with it."""
+
+    texels: bool = False
+    former: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
 class CaptureTraits:
     """chooses: it stands for others: its factory has `choose(options, path)`, which gives the node of the layout that a
     folder has."""
@@ -103,20 +113,21 @@ ENCODERS: Registry = Registry("encoder", EncoderTraits)
 DECODERS: Registry = Registry("decoder", DecoderTraits)
 RASTERIZERS: Registry = Registry("rasterizer", RasterizerTraits)
 LOSSES: Registry = Registry("loss", LossTraits)
+POINTS: Registry = Registry("points", PointTraits)
 CAPTURES: Registry = Registry("capture_format", CaptureTraits)
 TIERS: Registry = Registry("tier")
 
 REGISTRIES: tuple[Registry, ...] = (
-    BODIES, ENCODERS, DECODERS, RASTERIZERS, LOSSES, CAPTURES, MOTIONS, TIERS, OUTPUTS, CONVERSIONS, DRIVERS,
+    BODIES, POINTS, ENCODERS, DECODERS, RASTERIZERS, LOSSES, CAPTURES, MOTIONS, TIERS, OUTPUTS, CONVERSIONS, DRIVERS,
 )  # fmt: skip
 ENTRY_POINT_GROUP = "gavatar.plugins"
-PLUGIN_ROOMS = ("bodies", "captures", "decoders", "drivers", "encoders", "losses", "rasterizers", "tiers")
+PLUGIN_ROOMS = ("bodies", "captures", "decoders", "drivers", "encoders", "losses", "points", "rasterizers", "tiers")
 
 __all__ = [
-    "BODIES", "CAPTURES", "CONVERSIONS", "DECODERS", "DRIVERS", "ENCODERS", "LOSSES", "MOTIONS", "OUTPUTS",
+    "BODIES", "CAPTURES", "CONVERSIONS", "DECODERS", "DRIVERS", "ENCODERS", "LOSSES", "MOTIONS", "OUTPUTS", "POINTS",
     "RASTERIZERS", "REGISTRIES", "TIERS", "BodyTraits", "CaptureTraits", "Component", "DecoderTraits", "EncoderTraits",
-    "LossTraits", "NoOptions", "PluginFailure", "RasterizerTraits", "Registry", "fill_config_store", "load_plugins",
-    "load_room", "resolve",
+    "LossTraits", "NoOptions", "PluginFailure", "PointTraits", "RasterizerTraits", "Registry", "fill_config_store",
+    "load_plugins", "load_room", "resolve",
 ]  # fmt: skip
 
 
@@ -215,7 +226,7 @@ def fill_config_store() -> None:
     from omegaconf.errors import OmegaConfBaseException
 
     store = ConfigStore.instance()
-    for registry in (BODIES, ENCODERS, DECODERS, RASTERIZERS, CAPTURES):
+    for registry in (BODIES, POINTS, ENCODERS, DECODERS, RASTERIZERS, CAPTURES):
         for component in registry:
             try:
                 store.store(group=registry.group, name=component.name, node=_node(component), provider="gavatar")

@@ -24,12 +24,11 @@ def on_body(body: BodyData, betas: np.ndarray | None, face: np.ndarray, barycent
     corners, _ = areas(body, betas)
     joint_index, joint_weight, truncation = _blend_weights(body, face, barycentric)
     _, joints = body.shaped(betas)
-    normals = _normals(body.faces, _face_normals(corners), len(body.v_template), face, barycentric)
     return {
         "face": face.astype(np.int32),
         "barycentric": barycentric.astype(np.float32),
         "points": interpolate(corners, face, barycentric).astype(np.float32),
-        "normals": normals.astype(np.float32),
+        "normals": normals_of(body, corners, face, barycentric).astype(np.float32),
         "joint_index": joint_index,
         "joint_weight": joint_weight,
         "joints": np.asarray(joints, np.float64),
@@ -50,13 +49,10 @@ def interpolate(corner_values: np.ndarray, face: np.ndarray, barycentric: np.nda
     return sum(barycentric[:, i, None] * corner_values[face, i] for i in range(3))
 
 
-def _normals(
-    faces: np.ndarray, face_normals: np.ndarray, num_vertices: int, face: np.ndarray, barycentric: np.ndarray
-) -> np.ndarray:
-    """(N, 3) unit normals interpolated from vertex normals, which are the area-weighted mean of their faces' normals.
-
-    face_normals: (F, 3), twice the area long. Where the interpolated normal vanishes, the face's own is taken.
-    """
+def normals_of(body: BodyData, corners: np.ndarray, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
+    """(N, 3) float64 unit normals interpolated from those of vertices, which are the area-weighted mean of their faces'
+    normals; where the interpolated one vanishes, the face's own. corners: (F, 3, 3) of the faces."""
+    faces, face_normals, num_vertices = body.faces, _face_normals(corners), len(body.v_template)
     at_vertex: np.ndarray = np.stack(
         [np.bincount(faces.reshape(-1), np.repeat(face_normals[:, axis], 3), num_vertices) for axis in range(3)], -1
     )

@@ -138,9 +138,8 @@ def with_needs(names: Sequence[str], run: Run) -> list[str]:
 
 
 def sample(run: Run, uv: int | None = None) -> Sampled:
-    """The run on the points of an atlas of side `uv`, by default the one it was trained at."""
-    uv = run.uv if uv is None else uv
-    return Sampled(placed(dataclasses.replace(run, uv=uv), run.built.atlas(uv)))
+    """The run on as many points as an atlas of side `uv` has texels, by default on those it was trained with."""
+    return Sampled(run if uv is None else placed(run, run.built.surface(len(run.built.atlas(uv)))))
 
 
 def drop(sampled: Sampled, progress: bool = False) -> Sampled:

@@ -54,7 +54,7 @@ def manifest_of(run: Run) -> Manifest:
             "stage1_steps": config.stage1.steps,
             "stage2_steps": config.stage2.steps if run.stage == 2 else 0,
             "train_views": len(run.capture.views(config.train_split)),
-            "uv_resolution": run.uv,
+            "points": config.points["name"],
             "seed": config.seed,
             "pixel_m": run.pixel and run.pixel / rasterizer.resolution,  # played at the full one
         },

@@ -20,7 +20,7 @@ from gavatar_runtime.components import Registry, path_options
 from gavatar_runtime.errors import UserError
 
 from ..config import TrainConfig, check
-from ..registry import BODIES, CAPTURES, DECODERS, ENCODERS, LOSSES, RASTERIZERS
+from ..registry import BODIES, CAPTURES, DECODERS, ENCODERS, LOSSES, POINTS, RASTERIZERS
 from ..storage import atomic
 
 CONFIG = "config.yaml"
@@ -110,7 +110,7 @@ def path_settings(config: TrainConfig) -> Iterator[tuple[dict[str, Any], str, st
         yield vars(config), "capture", "capture"
     nodes: list[tuple[Registry, str, str, Any]] = [
         (registry, registry.group, "", getattr(config, registry.group))
-        for registry in (BODIES, ENCODERS, DECODERS, RASTERIZERS, CAPTURES)
+        for registry in (BODIES, POINTS, ENCODERS, DECODERS, RASTERIZERS, CAPTURES)
     ]
     nodes += [(LOSSES, "losses.", name, node) for name, node in config.losses.items()]
     for registry, group, loss, node in nodes:

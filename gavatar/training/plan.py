@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from ..config import AUTO, MotionConfig, StageConfig, TrainConfig
+from ..config import AUTO, LevelConfig, MotionConfig, StageConfig, TrainConfig
 from .schedule import SHARED, sharing_width
 
 
@@ -25,7 +25,8 @@ class Plan:
     waits: when poses begin to move is decided before all. mend_step: before which outliers are mended, None for never.
     guard: poses that got worse are refused.
     fill_unseen: points that no view saw take on their surroundings. least_gain: dB that dynamics must gain on held-out
-    views to be kept, None where they are kept unasked; static_uv: side of the atlas of the avatar they must surpass.
+    views to be kept, None where they are kept unasked; static_level: the last of the avatar that they must
+    surpass.
     """
 
     number: int
@@ -48,7 +49,7 @@ class Plan:
     guard: bool
     fill_unseen: bool
     least_gain: float | None
-    static_uv: int
+    static_level: LevelConfig
     preview_every: int
     save_every: int
 
@@ -115,7 +116,7 @@ def appearance(config: TrainConfig) -> Plan:
         guard=motion.guard,
         fill_unseen=config.fill_unseen,
         least_gain=None,
-        static_uv=config.stage1.levels[-1].uv,
+        static_level=config.stage1.levels[-1],
         preview_every=config.preview_every,
         save_every=config.checkpoint_every,
     )
@@ -145,7 +146,7 @@ def dynamics(config: TrainConfig) -> Plan:
         guard=motion.guard,
         fill_unseen=False,
         least_gain=config.dynamics_gain if config.dynamics == "auto" else None,
-        static_uv=config.stage1.levels[-1].uv,
+        static_level=config.stage1.levels[-1],
         preview_every=config.preview_every,
         save_every=config.checkpoint_every,
     )

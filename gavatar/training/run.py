@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.values.motion import Motion
 
-from ..assemble import AvatarBuild, build_avatar, capture_on_body, resolve_body
+from ..assemble import AvatarBuild, build_configured, capture_on_body, resolve_body
 from ..avatar.trainable import Avatar
 from ..capture.capture import Capture, View
 from ..capture.fingerprint import fingerprint
@@ -83,7 +83,7 @@ def differences(former: dict[str, Any], now: dict[str, Any], above: str = "") ->
 
 @dataclasses.dataclass
 class Run:
-    """A trained run, opened. stage: of the avatar that was loaded. uv: side of the atlas it ended at. pixel: metres of
+    """A trained run, opened. stage: of the avatar that was loaded. pixel: metres of
     the person that a pixel of the training images spanned (`gavatar_runtime.decoding.detail.as_trained`)."""
 
     directory: Path
@@ -92,7 +92,6 @@ class Run:
     built: AvatarBuild
     motion: MotionTable
     stage: int
-    uv: int
     pixel: float | None = None
 
     @property
@@ -123,7 +122,7 @@ def open_run(
     state = load_tensors(directory / STAGE_FILES[number])
     config.mask_matte = state.get("mask_matte", config.mask_matte)  # as it was chosen, where it was left to auto
     opened = open_capture(config.capture, config.capture_format)
-    built = build_avatar(config.body, config.encoder, config.decoder, config.avatar, opened, config.seed)
+    built = build_configured(config, opened)
     if "betas" in state:
         built.reshape(state["betas"].numpy())
     opened = capture_on_body(opened, built.body.data)
@@ -137,7 +136,8 @@ def open_run(
         raise UserError(f"{directory / STAGE_FILES[number]} does not fit {CONFIG} or the capture: {cause}") from None
     if number == 1:
         built.avatar.encoder = None
-    built.avatar.sample_at(built.atlas(state["uv"]))
+    # runs of former versions tell the side of the atlas
+    built.avatar.sample_at(built.surface(state["gaussians"] if "gaussians" in state else len(built.atlas(state["uv"]))))
     built.avatar.eval()
     for parameter in [*built.avatar.parameters(), *motion.parameters()]:
         parameter.requires_grad_(False)
@@ -145,7 +145,7 @@ def open_run(
     if RASTERIZERS.traits(*split_node(config.rasterizer)).widens:
         scale = getattr(config, f"stage{number}").levels[-1].image
         pixel = finest_pixel(opened, opened.views(config.train_split), scale, motion.motion())
-    return Run(directory, config, opened, built, motion, state["stage"], state["uv"], pixel)
+    return Run(directory, config, opened, built, motion, state["stage"], pixel)
 
 
 def finest_pixel(capture: Capture, views: list[View], scale: float, motion: Motion) -> float | None:

@@ -16,6 +16,7 @@ from ..assemble import AvatarBuild
 from ..attributes import Attributes
 from ..avatar.trainable import Avatar, Pose
 from ..capture.capture import View
+from ..config import LevelConfig
 from ..protocols import Rasterizer
 from .footage import Comparison, FootageSource
 from .motion_table import MotionTable
@@ -64,9 +65,9 @@ class Scene:
         """The frames that the views in `rows` show."""
         return [self.views[row].frame for row in rows]
 
-    def place(self, uv: int) -> None:
-        """Have the avatar's Gaussians on the points of the body's atlas of side `uv`."""
-        surface = self.built.atlas(uv)
+    def place(self, level: LevelConfig) -> None:
+        """Have the avatar's Gaussians on the points of a level."""
+        surface = self.built.surface(self.built.count(level))
         if not self.avatar.placed or self.avatar.surface is not surface:
             self.avatar.sample_at(surface)
 

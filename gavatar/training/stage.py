@@ -108,20 +108,20 @@ class Stage:
         scene.avatar.train()
         if self.plan.waits and steps:
             first = self.plan.stage.levels[0]
-            scene.place(first.uv)
+            scene.place(first)
             self.plan = self.chooser.window(self.plan, first.image)
         if start == 0 and self.plan.dynamic:
             self._prepare_encoder()
         if self.held_out and self.record.verdicts.static_errors is None:
-            scene.place(self.plan.static_uv)
+            scene.place(self.plan.static_level)
             # of images of the size that this stage is judged by: errors of smaller ones are smaller
             self.record.verdicts.static_errors = scene.errors(self.held_out, self.plan.image).tolist()
         self._run_steps(start)
         if start >= steps:  # nothing is left to do, or there never was: no step has placed the points
-            scene.place(self.plan.stage.levels[-1].uv)
+            scene.place(self.plan.stage.levels[-1])
         if self.learns_shape:
             self.record.verdicts.betas = scene.settle_shape()
-            scene.place(self.plan.stage.levels[-1].uv)
+            scene.place(self.plan.stage.levels[-1])
         self._finish(self._judged(), trained=start < steps)
 
     def _resume(self, state: dict[str, Any]) -> int:
@@ -204,7 +204,7 @@ class Stage:
     def _prepare(self, step: int) -> float:
         """Points and rates for a step; the scale of its images."""
         level, factor = level_at(self.plan.stage, step), lr_factor(self.plan.stage, step)
-        self.scene.place(level.uv)
+        self.scene.place(level)
         for name, rates in self._rates.items():
             for group, rate in zip(self.optimizers[name].param_groups, rates, strict=True):
                 group["lr"] = rate * factor
@@ -298,7 +298,7 @@ class Stage:
             "avatar": scene.avatar.state_dict(),
             "motion": scene.motion.state_dict(),
             "stage": self.plan.number,
-            "uv": self.plan.stage.levels[-1].uv,
+            "gaussians": scene.built.count(self.plan.stage.levels[-1]),
             "mask_matte": scene.footage.mask_matte,
         }
 

@@ -13,7 +13,7 @@ from gavatar_runtime.cpus import usable_cpus
 from gavatar_runtime.notes import Note
 from gavatar_runtime.progress import shown
 
-from ..assemble import AvatarBuild, build_avatar, build_rasterizer, capture_on_body, choose_device
+from ..assemble import AvatarBuild, build_configured, build_rasterizer, capture_on_body, choose_device
 from ..capture.capture import Capture, View
 from ..capture.meeting import apart
 from ..capture.opening import open_capture
@@ -50,10 +50,11 @@ class Trainer:
         capture.check()
         views = capture.views(config.train_split)
         self.losses = LossComposer(config.losses)
-        built = build_avatar(config.body, config.encoder, config.decoder, config.avatar, capture, config.seed)
+        built = build_configured(config, capture)
         self.capture = capture_on_body(capture, built.body.data)
-        if sentence := apart(self.capture, built.body.data, views):
-            warnings.warn(sentence, Note)
+        for sentence in (sides_as_numbers(built), apart(self.capture, built.body.data, views)):
+            if sentence:
+                warnings.warn(sentence, Note)
         built.avatar.to(device).mixed_precision = mixed(config.precision, config.decoder, device)
         self.scene = training_scene(config, built, self.capture, views)
         self.plans = stage_plans(config, dynamic=built.avatar.encoder is not None)
@@ -97,6 +98,15 @@ class Trainer:
             if state["stage"] > 1:
                 scene.settle_shape()
         self.record.load_state(state)
+
+
+def sides_as_numbers(built: AvatarBuild) -> str:
+    """What the levels that name a side of the atlas mean where points are no texels, in a sentence; '' without such."""
+    if built.policy_traits.texels:
+        return ""
+    sides = sorted({level.uv for level in built.levels if level.uv is not None})
+    meant = ", ".join(f"uv: {side} for gaussians: {len(built.atlas(side))}" for side in sides)
+    return meant and f"levels name sides of the atlas, which stand for the number of its texels: {meant}"
 
 
 def training_scene(config: TrainConfig, built: AvatarBuild, capture: Capture, views: list[View]) -> Scene:

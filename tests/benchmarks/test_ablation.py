@@ -34,7 +34,7 @@ def ablation():
 
 
 def configuration(ablation, preset, kind, *extra):
-    args = ablation.arguments(["capture", "--uv", "128", "--image", "0.5", "--steps", "110/40", *extra])
+    args = ablation.arguments(["capture", "--gaussians", "10726", "--image", "0.5", "--steps", "110/40", *extra])
     return check(compose_config(ablation.overrides(args, preset, kind, "3")))
 
 
@@ -45,8 +45,7 @@ def test_every_preset_has_the_same_budget(ablation, preset):
     assert [c.motion.enabled for c in (base, full, control)] == [False, True, True]
     assert {c.seed for c in (base, full, control)} == {3}
     for config in (base, full, control):
-        assert (config.stage1.levels[-1].uv, config.stage1.levels[-1].image) == (128, 0.5)
-        assert min(level.uv for level in config.stage1.levels) >= 64  # the smallest atlas there is
+        assert (config.stage1.levels[-1].gaussians, config.stage1.levels[-1].image) == (10726, 0.5)
         assert config.losses == full.losses
 
 

@@ -59,11 +59,11 @@ def test_a_dollar_in_a_path_is_no_interpolation():
 
 def test_a_command_line_is_settings_and_settings_are_a_command_line():
     arguments = ["decoder=mlp", "stage1.steps=20", "losses.l1=null", "motion.enabled=false", "name='a b'",
-                 "stage1.levels=[{until: 1.0, uv: 64, image: 0.25}]"]  # fmt: skip
+                 "stage1.levels=[{until: 1.0, gaussians: 2850, image: 0.25}]"]  # fmt: skip
     settings = from_overrides(arguments)
     assert settings == {
         "decoder": "mlp", "stage1.steps": 20, "losses.l1": None, "motion.enabled": False, "name": "a b",
-        "stage1.levels": [{"until": 1.0, "uv": 64, "image": 0.25}],
+        "stage1.levels": [{"until": 1.0, "gaussians": 2850, "image": 0.25}],
     }  # fmt: skip
     assert from_overrides(as_overrides(settings)) == settings
     assert from_overrides([]) == {}

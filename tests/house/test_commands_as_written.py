@@ -20,7 +20,7 @@ from tiny_capture import write_tiny_capture
 ADDED = {
     "gavatar-train": [
         "progress=false", "threads=1", "avatar.features=8", "avatar.feature_size=64", "stage1.steps=2",
-        "stage1.batch=2", "stage1.levels=[{until:1.0,uv:64,image:0.125}]", "stage2.steps=0",
+        "stage1.batch=2", "stage1.levels=[{until:1.0,gaussians:2850,image:0.125}]", "stage2.steps=0",
     ],
     "gavatar-eval": ["--splits", "train", "--no-fit", "--no-perceptual"],
     "gavatar-export": ["--poses", "2"],

@@ -18,7 +18,7 @@ from gavatar_runtime.motions import read_motion
 
 EXAMPLE = SUPPORT / "plugin_example"
 DEMO = ROOT / "gavatar" / "data" / "studio_demo"
-LEVELS = "[{until:1.0,uv:64,image:0.25}]"
+LEVELS = "[{until:1.0,gaussians:2850,image:0.25}]"
 
 pytestmark = pytest.mark.slow
 

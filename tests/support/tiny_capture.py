@@ -12,8 +12,9 @@ import numpy as np
 SMALL = [
     "progress=false", "threads=1", "encoder=unet_small", "encoder.width=8", "encoder.map_size=64",
     "decoder.widths=[32,32]", "decoder.skip=1", "decoder.head_width=16", "avatar.features=8", "avatar.feature_size=64",
-    "stage1.steps=6", "stage1.batch=2", "stage1.levels=[{until:0.5,uv:64,image:0.125},{until:1.0,uv:64,image:0.25}]",
-    "stage2.steps=4", "stage2.batch=2", "stage2.levels=[{until:1.0,uv:64,image:0.25}]",
+    "stage1.steps=6", "stage1.batch=2",
+    "stage1.levels=[{until:0.5,gaussians:2000,image:0.125},{until:1.0,gaussians:2850,image:0.25}]",
+    "stage2.steps=4", "stage2.batch=2", "stage2.levels=[{until:1.0,gaussians:2850,image:0.25}]",
     "checkpoint_every=2", "preview_every=3", "losses=demo",
     "dynamics=always", "stage2.lr_features=0", "motion.stage2=0", "motion.stage2_trans=0",
 ]  # fmt: skip

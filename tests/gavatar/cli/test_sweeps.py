@@ -19,7 +19,7 @@ from gavatar.config import register_configs
 from gavatar_runtime.errors import UserError
 
 QUICK = [o for o in SMALL if not o.startswith(("encoder", "stage"))] + [
-    "encoder=none", "stage1.steps=2", "stage1.batch=2", "stage1.levels=[{until:1.0,uv:64,image:0.125}]",
+    "encoder=none", "stage1.steps=2", "stage1.batch=2", "stage1.levels=[{until:1.0,gaussians:2850,image:0.125}]",
 ]  # fmt: skip
 
 

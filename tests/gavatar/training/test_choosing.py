@@ -23,7 +23,7 @@ from gavatar_runtime.errors import UserError
 FRAMES = tuple(range(0, 60, 6))  # a person turns once
 STATIC = [*(o for o in SMALL if not o.startswith("encoder")), "encoder=none", "checkpoint_every=10"]
 STATIC += ["stage1.steps=40", "stage1.batch=4", "stage1.lr_decoder=0.01", "preview_every=1000"]
-STATIC += ["stage1.levels=[{until:1.0,uv:64,image:0.25}]"]
+STATIC += ["stage1.levels=[{until:1.0,gaussians:2850,image:0.25}]"]
 
 
 def written(folder, change=lambda frame, image, mask: (image, mask), frames=FRAMES):

@@ -23,7 +23,7 @@ def test_appearance_and_motion_come_first_dynamics_second():
     assert (one.dynamic, two.dynamic) == (False, True)
     assert (one.learns_features, two.learns_features) == (True, False)
     assert (one.poses_move, two.poses_move) == (True, False)
-    assert one.static_uv == two.static_uv == one.stage.levels[-1].uv
+    assert one.static_level == two.static_level == one.stage.levels[-1]
 
 
 @pytest.mark.parametrize(("overrides", "dynamic"), [([], False), (["stage2.steps=0"], True)])

@@ -81,7 +81,12 @@ def test_an_unknown_precision_is_found_before_any_work():
 
 def test_training_in_bfloat16_learns_the_same_and_is_evaluated_in_float32(tmp_path):
     capture = write_tiny_capture(tmp_path / "tiny")
-    same = ["background=white", "stage1.batch=6", "stage1.levels=[{until:1.0,uv:64,image:0.25}]", "stage2.steps=0"]
+    same = [
+        "background=white",
+        "stage1.batch=6",
+        "stage1.levels=[{until:1.0,gaussians:2850,image:0.25}]",
+        "stage2.steps=0",
+    ]
     last = {}
     for kind in ("float32", "bfloat16"):
         out = tmp_path / kind

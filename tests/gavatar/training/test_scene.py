@@ -10,7 +10,7 @@ import torch
 from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.avatar.trainable import Pose
-from gavatar.config import check, compose_config
+from gavatar.config import LevelConfig, check, compose_config
 from gavatar.training.footage import Comparison, FootageSource
 from gavatar.training.motion_table import MotionTable
 from gavatar.training.scene import Scene
@@ -33,7 +33,7 @@ def make(capture, tmp_path):
     def made(*overrides) -> Scene:
         overrides = [f"capture={capture}", "out=x", *SMALL, *overrides]
         scene = Trainer(check(compose_config(overrides)), tmp_path / "run").scene
-        scene.place(64)
+        scene.place(LevelConfig(gaussians=2850))
         generator = torch.Generator().manual_seed(0)
         parts = [(scene.avatar, 0.02), (scene.motion, 0.05), (scene.exposure, 0.3), (scene.shape, 0.3)]
         for part, size in parts:
@@ -119,7 +119,7 @@ def test_a_settled_shape_is_part_of_the_body_and_drawn_once(make):
     np.testing.assert_allclose(np.subtract(verdict.refined, verdict.estimated)[: len(change)], change, atol=1e-4)
     np.testing.assert_allclose(scene.motion.betas, scene.built.betas.astype(np.float32))
     assert not torch.equal(scene.encoder_inputs([0])[0], looked_at[0])  # maps of another body
-    scene.place(64)
+    scene.place(LevelConfig(gaussians=2850))
     after = scene.render([0], SCALE, attributes)[0]
     # the same skin by directions of the shape and sampled afresh: a fraction of a millimetre moves few pixels
     assert (before - after).abs().mean() < 1e-3

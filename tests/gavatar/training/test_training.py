@@ -59,7 +59,12 @@ def test_a_run_leaves_what_it_promises(trained):
 
 def test_training_lowers_the_loss(capture, tmp_path):
     # every view in every step over one background, so that first and last loss are of the same images
-    same = ["background=white", "stage1.batch=6", "stage1.levels=[{until:1.0,uv:64,image:0.25}]", "stage2.steps=0"]
+    same = [
+        "background=white",
+        "stage1.batch=6",
+        "stage1.levels=[{until:1.0,gaussians:2850,image:0.25}]",
+        "stage2.steps=0",
+    ]
     trainer = run(capture, tmp_path / "r", *same, "stage1.steps=60", "stage1.lr_decoder=0.01")
     losses = [e["losses"]["l1"] for e in trainer.record.history]
     assert losses[-1] < 0.7 * losses[0]
@@ -255,10 +260,14 @@ def test_training_on_one_frame_works(tmp_path):
     ("override", "message"),
     [
         ("background=blue", "background must be"),
-        ("stage1.levels=[{until:0.5,uv:64,image:1.0}]", "rise to 1.0"),
-        ("stage1.levels=[{until:1.0,uv:64,image:0}]", "image must be within"),
+        ("stage1.levels=[{until:0.5,gaussians:2850,image:1.0}]", "rise to 1.0"),
+        ("stage1.levels=[{until:1.0,gaussians:2850,image:0}]", "image must be within"),
         ("stage2.levels=[{until:1.0,uv:32,image:1.0}]", r"stage2\.levels: uv 32 is not possible: .*from 64 to 1024"),
         ("stage1.levels=[{until:1.0,uv:2048,image:1.0}]", r"stage1\.levels: uv 2048 is not possible"),
+        ("stage1.levels=[{until:1.0,gaussians:0}]", r"stage1\.levels: gaussians 0 is not possible: .*1 to 1,000,000"),
+        ("stage1.levels=[{until:1.0,gaussians:9,uv:64}]", "either 'gaussians', their number, or 'uv'"),
+        ("stage1.levels=[{until:1.0,image:1.0}]", "either 'gaussians', their number, or 'uv'"),
+        ("points.head=0", r"points\.head must be within 0\.1 and 10, not 0"),
         ("stage1.batch=0", "batch at least 1"),
         ("motion.start=0.9", "start <= end"),
         ("losses.l1=-1", "l1"),

@@ -72,7 +72,10 @@ def test_dynamics_that_do_not_pay_leave_a_static_avatar(capture, tmp_path, monke
 
 def test_both_looks_are_judged_by_images_of_one_size(capture, tmp_path):
     """An avatar that stage 2 does not change gains nothing, whatever the sizes of the stages' images."""
-    sizes = ["stage1.levels=[{until:1.0,uv:64,image:0.5}]", "stage2.levels=[{until:1.0,uv:64,image:0.125}]"]
+    sizes = [
+        "stage1.levels=[{until:1.0,gaussians:2850,image:0.5}]",
+        "stage2.levels=[{until:1.0,gaussians:2850,image:0.125}]",
+    ]
     still = ["stage2.lr_decoder=0", "stage2.lr_encoder=0", "motion.guard=false"]
     verdict = run(capture, tmp_path, "dynamics=auto", *sizes, *still).record.verdicts.dynamics
     assert verdict.gain_db == pytest.approx(0, abs=1e-3)

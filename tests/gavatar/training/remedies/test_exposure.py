@@ -52,7 +52,7 @@ def test_planted_exposures_are_found(capture, tmp_path):
     steps = [
         "stage1.steps=60",
         "stage1.batch=3",
-        "stage1.levels=[{until:1.0,uv:64,image:0.125}]",
+        "stage1.levels=[{until:1.0,gaussians:2850,image:0.125}]",
         "motion.enabled=false",
     ]
     made = train(config(flickering, tmp_path / "run", "exposure=true", *steps), tmp_path / "run")

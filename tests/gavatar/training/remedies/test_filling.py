@@ -7,7 +7,7 @@ import pytest
 import torch
 from tiny_capture import SMALL, write_tiny_capture
 
-from gavatar.config import check, compose_config
+from gavatar.config import LevelConfig, check, compose_config
 from gavatar.training.footage import FootageSource
 from gavatar.training.remedies import filling
 from gavatar.training.remedies.evidence import blending_weights, view_weights
@@ -24,7 +24,7 @@ def scene(tmp_path):
     capture = write_tiny_capture(tmp_path / "tiny")
     config = check(compose_config([f"capture={capture}", "out=x", *STATIC]))
     made = Trainer(config, tmp_path / "run").scene
-    made.place(64)
+    made.place(LevelConfig(gaussians=2850))
     return made
 
 

@@ -40,7 +40,7 @@ def capture(tmp_path_factory):
 def run(capture, out, *overrides):
     settings = [o for o in SMALL if not o.startswith("encoder")]
     settings += ["encoder=none", "stage1.steps=60", "stage1.batch=4", "stage1.lr_decoder=0.01", "motion.guard=false"]
-    settings += ["stage1.levels=[{until:1.0,uv:64,image:0.25}]", *overrides]
+    settings += ["stage1.levels=[{until:1.0,gaussians:2850,image:0.25}]", *overrides]
     return train(compose_config([f"capture={capture}", f"out={out}", *settings]), out)
 
 

@@ -128,7 +128,7 @@ def test_a_wrong_shape_is_repaired_and_images_gain(tmp_path):
     np.savez(capture / "body.npz", **arrays | {"betas": true + np.eye(len(true))[0]})
     settings = [o for o in SMALL if not o.startswith("encoder")]
     settings += [f"capture={capture}", "encoder=none", "stage1.steps=120", "stage1.batch=4", "losses.ssim=0"]
-    settings += ["stage1.levels=[{until:1.0,uv:64,image:0.25}]", "stage1.lr_decoder=0.01"]
+    settings += ["stage1.levels=[{until:1.0,gaussians:2850,image:0.25}]", "stage1.lr_decoder=0.01"]
     errors, images = {}, {}
     for betas in ("false", "true"):
         out = tmp_path / betas
