@@ -144,3 +144,9 @@ def test_no_point_lies_where_the_density_is_zero(body):
     head = share_of(body, HEAD)
     points = sample_points(body, None, 300, head)
     assert np.all(head[body.faces[points.face]].max(1) > 0)
+
+
+@pytest.mark.parametrize("name", ["head", "hands"])
+def test_a_density_out_of_range_is_refused(name):
+    with pytest.raises(UserError, match=rf"points\.{name} must be within 0\.1 and 10, not 0"):
+        POINTS.build("detail", {name: 0})

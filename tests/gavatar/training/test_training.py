@@ -267,7 +267,6 @@ def test_training_on_one_frame_works(tmp_path):
         ("stage1.levels=[{until:1.0,gaussians:0}]", r"stage1\.levels: gaussians 0 is not possible: .*1 to 1,000,000"),
         ("stage1.levels=[{until:1.0,gaussians:9,uv:64}]", "either 'gaussians', their number, or 'uv'"),
         ("stage1.levels=[{until:1.0,image:1.0}]", "either 'gaussians', their number, or 'uv'"),
-        ("points.head=0", r"points\.head must be within 0\.1 and 10, not 0"),
         ("stage1.batch=0", "batch at least 1"),
         ("motion.start=0.9", "start <= end"),
         ("losses.l1=-1", "l1"),
