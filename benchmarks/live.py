@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 
 from gavatar.images.metrics import joint_errors
+from gavatar.preparation.initial import DEFAULT_FOV
 from gavatar_plugins.bodies.free import load_free_body
 from gavatar_runtime.avatar.played_body import PlayedBody
 from gavatar_runtime.bundle import read_bundle
@@ -64,12 +65,12 @@ def behind(joints: np.ndarray, truth: np.ndarray, fps: float) -> float:
     return float(1000 * shifts[np.argmin([error(s) for s in shifts])])
 
 
-def accuracy(capture: Path) -> dict[str, dict[str, float]]:
+def accuracy(capture: Path, fov: float) -> dict[str, dict[str, float]]:
     """Errors of the driver's poses and of what is shown, in millimetres and m/s^2."""
     body, truth = load_free_body(), read_motion(capture / "body_truth.npz", up="y")
     rest = body.shaped(truth.betas)[1]
     steadied = Steadied(PlayedBody(tuple(body.joint_names), rest, None, None, 0))
-    driver, raw, shown, lost = build_driver(), [], [], 0
+    driver, raw, shown, lost = build_driver({"fov": fov}), [], [], 0
     for k, image in enumerate(pictures(capture)):
         seen = driver(image, k / truth.fps)
         pose = steadied(seen, k / truth.fps)[0]
@@ -145,9 +146,10 @@ def main() -> None:
     parser.add_argument("--tier")
     parser.add_argument("--size", type=int, default=512, help="pixels of a side of a frame")
     parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--fov", type=float, default=DEFAULT_FOV, help="degrees that the camera is said to see")
     parser.add_argument("--json", type=Path)
     a = parser.parse_args()
-    found: dict[str, dict] = accuracy(a.capture)
+    found: dict[str, dict] = accuracy(a.capture, a.fov)
     for name, values in found.items():
         print(f"{name}: " + "  ".join(f"{key} {value:.1f}" for key, value in values.items()))
     print(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import time
 
 import numpy as np
 import pytest
@@ -194,6 +195,27 @@ def test_a_screenshot_has_no_losses(page, viewer):
     got = cv2.imdecode(np.frombuffer(base64.b64decode(url.split(",")[1]), np.uint8), 1)[:, :, ::-1]
     wish = page.evaluate("controls.view()")
     assert np.array_equal(got, viewer.scene.draw(Wish.of(wish))[0])
+
+
+def test_a_recording_is_a_video_that_shows_the_person_move(page, tmp_path):
+    page.command("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+    page.evaluate("controls.play('dance')")
+    click(page, "record")
+    page.wait("controls.recorder?.state === 'recording'")
+    before = page.evaluate("controls.engine.frames")
+    page.wait(f"controls.engine.frames > {before} + 15")
+    click(page, "record")
+    page.wait("!controls.recorder")
+    end = time.monotonic() + 20
+    while not (found := [p for p in tmp_path.iterdir() if p.suffix in (".mp4", ".webm") and p.stat().st_size]):
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    video, frames = cv2.VideoCapture(str(found[0])), []
+    while (read := video.read())[0]:
+        frames.append(read[1].astype(float))
+    assert len(frames) > 5
+    assert max(np.ptp(frame) for frame in frames) > 100  # the person on the background
+    assert np.abs(frames[-1] - frames[1]).max() > 50  # who moved
 
 
 def test_the_command_that_makes_the_view(page):
