@@ -57,18 +57,21 @@ export class Controls {
     }));
   }
 
-  // Start a motion; the view is kept unless this is the first.
+  // Start a motion. A view that nobody has turned frames it; another keeps its direction and distance, and goes along to
+  // where the person is now.
   async play(name) {
     try {
       this.wanted = name;
       const motion = await this.engine.motion(name);
       if (this.wanted !== name) return; // another was chosen meanwhile
-      const first = !this.state.motion;
+      const before = this.state.motion?.extent.center, { camera } = this.state;
+      const untouched = this.framed && JSON.stringify(camera) === this.framed;
       this.state.motion = motion;
       this.state.time = 0;
       this.find("motion").value = motion.name;
       this.find("scrub").max = Math.max(motion.count - 1, 0);
-      if (first) this.reset();
+      if (!before || untouched) this.reset();
+      else camera.target = camera.target.map((v, a) => v + motion.extent.center[a] - before[a]);
       this.dirty = true;
     } catch (error) {
       this.say([error.message], true);
@@ -82,6 +85,7 @@ export class Controls {
     const { width, height } = this.size();
     Object.assign(camera, { azimuth: motion.extent.facing, elevation: 0, target: [...motion.extent.center] });
     camera.distance = distanceFor(motion.extent, width, height, camera.azimuth);
+    this.framed = JSON.stringify(camera);
     this.dirty = true;
   }
 

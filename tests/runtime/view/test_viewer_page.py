@@ -177,6 +177,21 @@ def test_a_motion_file_plays(page, tmp_path, how):
     assert page.evaluate("document.querySelector('[data-part=motion]').value") == f"walk {how}"
 
 
+def test_a_motion_elsewhere_is_in_the_picture(page, tmp_path):
+    """As that of a .bvh, whose pelvis is a metre above the floor: also where the view was turned before."""
+    np.savez(tmp_path / "m.npz", poses=np.zeros((7, 156)), trans=np.tile([5.0, 1.0, 0], (7, 1)), mocap_framerate=30.0)
+    center = page.evaluate("controls.state.motion.extent.center")
+    give(page, "far.npz", (tmp_path / "m.npz").read_bytes(), "choose")
+    page.wait("controls.state.motion.name === 'far'")
+    assert page.evaluate("controls.state.camera.target") == page.evaluate("controls.state.motion.extent.center")
+    drag(page, 60, 0)
+    turned = page.evaluate("controls.state.camera.azimuth")
+    page.evaluate("controls.play('idle')")
+    page.wait("controls.state.motion.name === 'idle'")
+    assert np.allclose(page.evaluate("controls.state.camera.target"), center, atol=1e-6)
+    assert page.evaluate("controls.state.camera.azimuth") == turned  # the view that the user chose
+
+
 def test_a_file_that_is_none_is_told_and_the_motion_goes_on(page):
     give(page, "nothing.npz", b"no archive", "drop")
     page.wait("document.querySelector('[data-part=notes] .wrong')?.textContent.includes('nothing.npz')")
