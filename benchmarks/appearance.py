@@ -104,7 +104,6 @@ def STUDIES() -> dict[str, list[Variant]]:
         ],
         "unseen": [
             Variant("front only", STATIC, fault="front"),
-            Variant("front only, fill_unseen", ["fill_unseen=true", *STATIC], fault="front"),
         ],
         "exposure": [
             Variant("steady", STATIC, run="static"),
@@ -279,7 +278,7 @@ PANELS = (
         (190, 90, 160),
         [("masks_too_wide", False), ("masks_too_wide_mask_edge_4", False), ("masks_too_wide_mask_matte_5", False)],
     ),
-    (View("cam0", 28), (75, 140, 220), [("front_only", False), ("front_only_fill_unseen", False)]),
+    (View("cam0", 28), (75, 140, 220), [("front_only", False)]),
 )
 
 

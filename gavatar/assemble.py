@@ -122,6 +122,12 @@ class AvatarBuild:
                 self.surfaces[count] = self.surface(finest).prefix(count)
         return self.surfaces[count]
 
+    @property
+    def head(self) -> int | None:
+        """The joint of the head, None of a body without one."""
+        names = list(self.body.data.joint_names)
+        return names.index("head") if "head" in names else None
+
     def reshape(self, betas: np.ndarray) -> None:
         """The same avatar on the body of other shape coefficients; what was sampled of the former is forgotten."""
         device = self.avatar.features.device

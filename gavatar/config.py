@@ -22,6 +22,8 @@ from .registry import BODIES, DECODERS, ENCODERS, POINTS, RASTERIZERS, fill_conf
 
 PRECISIONS = ("auto", "float32", "bfloat16")
 DYNAMICS = ("always", "auto")
+# settings of earlier versions, and what became of them
+FORMER_SETTINGS = {"fill_unseen": "parts that were hardly filmed always take on what is around them"}
 AUTO = "auto"  # of a remedy: decided by what is measured on the footage
 
 
@@ -95,8 +97,7 @@ class TrainConfig:
     loss looks at, against the rim that masks cut too wide leave; mask_matte: pixels inside the border, or below zero
     outside it, in which it is found anew from the footage's colours, where masks are too wide or too narrow. exposure:
     learn a gain for every training view, where the footage's brightness drifts. Both are `auto`: measured on the
-    footage and chosen by that. fill_unseen: after stage 1, points that no training view saw take on what is around
-    them.
+    footage and chosen by that.
     dynamics: `always` keeps what stage 2 learns; `auto` only if it gains `dynamics_gain` dB on training views held out
     of stage 2: else the avatar is static."""
 
@@ -113,7 +114,6 @@ class TrainConfig:
     mask_edge: float = 0.0
     mask_matte: Any = AUTO
     exposure: Any = AUTO
-    fill_unseen: bool = False
     dynamics: str = "always"
     dynamics_gain: float = 0.1
     preview_every: int = 200

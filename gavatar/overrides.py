@@ -19,7 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from gavatar_runtime.errors import UserError, did_you_mean
 
-from .config import TrainConfig, check, compose_config
+from .config import FORMER_SETTINGS, TrainConfig, check, compose_config
 from .registry import BODIES, CAPTURES, DECODERS, ENCODERS, POINTS, RASTERIZERS
 
 REGISTERED = {registry.group: registry for registry in (BODIES, CAPTURES, DECODERS, ENCODERS, POINTS, RASTERIZERS)}
@@ -135,6 +135,8 @@ def one_sentence(error: Exception) -> str:
     if not unknown:
         return " ".join(lines[:2])
     key = unknown.group(1) or unknown.group(2)
+    if key in FORMER_SETTINGS:
+        return f"{key} is no setting any more: {FORMER_SETTINGS[key]}; leave it out"
     full = next((line for line in lines if line.startswith("full_key")), "")
     where = full.removeprefix("full_key:").strip() or key
     if "." in where:

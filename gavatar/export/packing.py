@@ -16,6 +16,7 @@ from gavatar_runtime.bundle import (
     pack_surfaces,
 )
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.values.point_evidence import MEMBER as EVIDENCE
 from gavatar_runtime.values.surface import Atlas
 
 from ..avatar.blendshapes import expression_of, pose_blendshapes_of
@@ -96,4 +97,6 @@ def members_of(run: Run, manifest: Manifest) -> dict[str, bytes]:
         members[EXPRESSION] = pack_arrays(expression.to_arrays())
     if avatar.config.pose_blendshapes:
         members[POSE_BLENDSHAPES] = pack_arrays(pose_blendshapes_of(data, avatar.surface).to_arrays())
+    if run.evidence is not None:
+        members[EVIDENCE] = pack_arrays(run.evidence.on(avatar.surface).to_arrays())
     return members

@@ -16,7 +16,7 @@ from .remedies.pose_quality import UNSTEADY, unsteadiness
 from .remedies.shape import new_shape
 from .remedies.shape_trial import shape_trial
 from .scene import Scene
-from .verdicts import Choice
+from .verdicts import Choice, FillingVerdict
 
 SHAPE_GAIN = 0.35  # dB on left-out views; right shapes gain 0.04 to 0.22, one that is off by a standard deviation 0.6
 WAITING = 0.05  # of stage 1, before poses that are good begin to move: until then the avatar is a blur
@@ -88,6 +88,13 @@ class Chooser:
         told = f"{', '.join(parts)}: mended" if parts else "no frame's pose is plainly wrong"
         count = len(verdicts.frames_mended)
         verdicts.chose("motion.mend", Choice(bool(count), float(count), told))
+
+    def filled(self, unseen: FillingVerdict) -> None:
+        """Note how much of the body was hardly seen, and took on what is around it."""
+        share = unseen.points / max(unseen.of, 1)
+        told = f"{100 * share:.0f} % of the body was never seen squarely" + (": filled" if unseen.filled else "")
+        self.record.verdicts.unseen = unseen
+        self.record.verdicts.chose("unseen", Choice(bool(unseen.filled), round(share, 4), told))
 
     @property
     def paragraph(self) -> str:

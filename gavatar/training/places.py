@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import os
+import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,9 @@ from omegaconf import OmegaConf
 
 from gavatar_runtime.components import Registry, path_options
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.notes import Note
 
-from ..config import TrainConfig, check
+from ..config import FORMER_SETTINGS, TrainConfig, check
 from ..registry import BODIES, CAPTURES, DECODERS, ENCODERS, LOSSES, POINTS, RASTERIZERS
 from ..storage import atomic
 
@@ -44,6 +46,9 @@ class WrittenRun:
         try:
             written: Any = OmegaConf.load(path)
             seen = written.get(FROM_HERE) or {}
+            for setting, now in FORMER_SETTINGS.items():
+                if written.get(setting):
+                    warnings.warn(f"{path}: {setting} is no setting any more: {now}", Note)
             return cls(directory, check(written), dict(seen), str(written.get(CONTENT) or ""))
         except UserError as error:
             raise UserError(f"{path}: {error}") from None

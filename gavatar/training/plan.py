@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 from ..config import AUTO, LevelConfig, MotionConfig, StageConfig, TrainConfig
 from .schedule import SHARED, sharing_width
+
+PRIOR_AT = 0.75  # of a stage's steps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,10 +26,9 @@ class Plan:
 
     Remedies. Before exposure_step and shape_step it is decided whether these are learnt, None where that is settled.
     waits: when poses begin to move is decided before all. mend_step: before which outliers are mended, None for never.
-    guard: poses that got worse are refused.
-    fill_unseen: points that no view saw take on their surroundings. least_gain: dB that dynamics must gain on held-out
-    views to be kept, None where they are kept unasked; static_level: the last of the avatar that they must
-    surpass.
+    prior_step: before which points that were hardly seen take on what is around them, to be held there; None for never.
+    guard: poses that got worse are refused. least_gain: dB that dynamics must gain on held-out views to be kept, None
+    where they are kept unasked; static_level: the last of the avatar that they must surpass.
     """
 
     number: int
@@ -46,8 +48,8 @@ class Plan:
     exposure_step: int | None
     shape_step: int | None
     waits: bool
+    prior_step: int | None
     guard: bool
-    fill_unseen: bool
     least_gain: float | None
     static_level: LevelConfig
     preview_every: int
@@ -87,6 +89,15 @@ def stage_plans(config: TrainConfig, dynamic: bool) -> list[Plan]:
     return plans
 
 
+def prior_step(stage: StageConfig) -> int | None:
+    """The step from which on a stage holds to the prior what was hardly seen: with all points in place and a quarter
+    of the steps to go, or what the last level has; None of a stage without steps."""
+    if not stage.steps:
+        return None
+    starts = [0.0, *(level.until for level in stage.levels[:-1])][-1]
+    return min(max(round(PRIOR_AT * stage.steps), math.ceil(starts * stage.steps)), stage.steps - 1)
+
+
 def appearance(config: TrainConfig) -> Plan:
     """Stage 1: how the person looks, and how they move."""
     motion, steps = settled(config.motion), config.stage1.steps
@@ -113,8 +124,8 @@ def appearance(config: TrainConfig) -> Plan:
         exposure_step=step_at(EXPOSURE_AT, config.exposure == AUTO),
         shape_step=step_at(SHAPE_AT, motion.enabled and motion.betas == AUTO),
         waits=motion.enabled and config.motion.start == AUTO,
+        prior_step=prior_step(config.stage1),
         guard=motion.guard,
-        fill_unseen=config.fill_unseen,
         least_gain=None,
         static_level=config.stage1.levels[-1],
         preview_every=config.preview_every,
@@ -143,8 +154,8 @@ def dynamics(config: TrainConfig) -> Plan:
         exposure_step=None,
         shape_step=None,
         waits=False,
+        prior_step=prior_step(config.stage2),
         guard=motion.guard,
-        fill_unseen=False,
         least_gain=config.dynamics_gain if config.dynamics == "auto" else None,
         static_level=config.stage1.levels[-1],
         preview_every=config.preview_every,

@@ -10,7 +10,9 @@ from torch import Tensor
 from gavatar_runtime.errors import UserError
 
 from ..storage import write_image, write_json
+from .evidence_picture import evidence_picture
 from .preview import as_image, side_by_side
+from .scene import Scene
 from .verdicts import Verdicts
 
 
@@ -37,6 +39,12 @@ class Record:
         """Write footage, avatar and error of a view, (3, H, W) each, side by side."""
         path = self.directory / "previews" / f"stage{stage}_{step:06d}.png"
         write_image(path, side_by_side(as_image(target), as_image(render)))
+
+    def evidence(self, scene: Scene) -> None:
+        """Draw what the views say of each point: evidence.png, and among the previews."""
+        picture = evidence_picture(scene)
+        for path in (self.directory / "evidence.png", self.directory / "previews" / "evidence.png"):
+            write_image(path, picture)
 
     def write(self, gaussians: int | None, finished: bool) -> None:
         """Write metrics.json. gaussians: of the avatar, None before it has any."""

@@ -22,6 +22,7 @@ from ..registry import RASTERIZERS, split_node
 from ..storage import load_tensors
 from .motion_table import MotionTable
 from .places import CONFIG, WrittenRun, absolute, from_here
+from .remedies.placed_evidence import PlacedEvidence
 from .stage import REFUSED, STAGE_FILES
 from .trainer import Trainer, resolved
 
@@ -84,7 +85,8 @@ def differences(former: dict[str, Any], now: dict[str, Any], above: str = "") ->
 @dataclasses.dataclass
 class Run:
     """A trained run, opened. stage: of the avatar that was loaded. pixel: metres of
-    the person that a pixel of the training images spanned (`gavatar_runtime.decoding.detail.as_trained`)."""
+    the person that a pixel of the training images spanned (`gavatar_runtime.decoding.detail.as_trained`).
+    evidence: what the training views say of the body's points, None of runs of earlier versions."""
 
     directory: Path
     config: TrainConfig
@@ -93,6 +95,7 @@ class Run:
     motion: MotionTable
     stage: int
     pixel: float | None = None
+    evidence: PlacedEvidence | None = None
 
     @property
     def avatar(self) -> Avatar:
@@ -145,7 +148,10 @@ def open_run(
     if RASTERIZERS.traits(*split_node(config.rasterizer)).widens:
         scale = getattr(config, f"stage{number}").levels[-1].image
         pixel = finest_pixel(opened, opened.views(config.train_split), scale, motion.motion())
-    return Run(directory, config, opened, built, motion, state["stage"], pixel)
+    evidence = None
+    if "evidence" in state:
+        evidence = PlacedEvidence.from_state(state["evidence"], str(directory / STAGE_FILES[number]))
+    return Run(directory, config, opened, built, motion, state["stage"], pixel, evidence)
 
 
 def finest_pixel(capture: Capture, views: list[View], scale: float, motion: Motion) -> float | None:

@@ -21,6 +21,7 @@ from ..protocols import Rasterizer
 from .footage import Comparison, FootageSource
 from .motion_table import MotionTable
 from .remedies.exposure import Exposure
+from .remedies.placed_evidence import PlacedEvidence
 from .remedies.shape import Shape
 from .verdicts import ShapeVerdict
 
@@ -33,6 +34,7 @@ class Scene:
     built: the avatar and the body it stands on. rasterize: draws Gaussians before a camera. footage: of the views; a
     row is a place in their list. motion: a pose for each frame of the capture. exposure: gains of the views, None where
     every camera shows the avatar's own colours. shape: a correction of the body's shape, None where it is as it is.
+    evidence: what the views say of the body's points, None before a stage has come to its end.
     """
 
     def __init__(
@@ -47,6 +49,7 @@ class Scene:
         self.built, self.rasterize, self.footage, self.motion = built, rasterize, footage, motion
         self.exposure, self.shape = exposure, shape
         self.frames = sorted({view.frame for view in footage.views})
+        self.evidence: PlacedEvidence | None = None
         self._inputs: dict[int, list[Tensor]] = {}  # of the encoder, by frame
 
     @property

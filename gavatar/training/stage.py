@@ -12,6 +12,7 @@ import torch
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.progress import Progress
 
+from ..attributes import Attributes
 from ..losses import LossComposer, LossInputs
 from ..registry import LOSSES, LossTraits
 from ..storage import load_tensors, save_tensors
@@ -21,12 +22,14 @@ from .plan import Plan
 from .pose_learning import PoseLearner
 from .record import Record
 from .remedies.acceptance import dynamics_verdict, held_out_rows, refuse_worse_poses
+from .remedies.evidence import evidence_of
 from .remedies.exposure import RATE as EXPOSURE_RATE
 from .remedies.facing import facing_texels
-from .remedies.filling import fill_unseen
 from .remedies.outliers import judging_scale, mend_outliers
+from .remedies.prior import SURE, Prior, fill
 from .scene import Scene
 from .schedule import background_at, batch_rows, level_at, lr_factor
+from .verdicts import FillingVerdict
 
 log = logging.getLogger("gavatar.training")
 
@@ -48,6 +51,7 @@ class Stage:
         self.plan, self.scene, self.losses, self.poses, self.record = plan, scene, losses, poses, record
         self.chooser = Chooser(scene, record)
         self.progress = progress
+        self.prior: Prior | None = None  # what is held where little was seen, once it is known
         views = range(len(scene.views))
         self.held_out = held_out_rows(len(views)) if plan.least_gain is not None else []
         self.rows = [row for row in views if row not in set(self.held_out)]
@@ -131,6 +135,8 @@ class Stage:
         for parameter, moments in self.optimizers["optimizer"].state.items():  # whatever the layout it was saved in
             for key in ("exp_avg", "exp_avg_sq"):
                 moments[key] = torch.empty_like(parameter).copy_(moments[key]).detach()
+        if "prior" in state:
+            self.prior = Prior(**state["prior"])
         return state["step"]
 
     def _prepare_encoder(self) -> None:
@@ -190,9 +196,13 @@ class Stage:
             self._rates["shape_optimizer"] = [plan.motion.lr_betas]
         if step == plan.mend_step:
             self._mend(image)
+        if step == plan.prior_step:
+            self._fill(image)
         rows = [self.rows[r] for r in batch_rows(plan.seed, len(self.rows), plan.stage.batch, step)]
-        inputs = self._draw(rows, image, background_at(plan.background, plan.seed, step), progress)
+        inputs, attributes = self._draw(rows, image, background_at(plan.background, plan.seed, step), progress)
         total, values = self.losses(inputs)
+        if self.prior is not None:
+            total = total + self.prior.loss(self.scene.avatar, attributes)
         for optimizer in self.optimizers.values():
             optimizer.zero_grad(set_to_none=True)
         total.backward()
@@ -216,8 +226,19 @@ class Stage:
         self.chooser.mended(mend_outliers(self.scene, image))
         self.poses.optimizer.forget(self.record.verdicts.frames_mended or [])
 
-    def _draw(self, rows: list[int], image: float, background: torch.Tensor, progress: float) -> LossInputs:
-        """The views in `rows` and what the losses look at beside them."""
+    def _fill(self, image: float) -> None:
+        scene = self.scene
+        scene.evidence = evidence_of(scene, image)
+        self.prior = fill(scene.avatar, scene.evidence.evidence, scene.built.head, fit=self.plan.learns_features)
+        sure = scene.evidence.evidence.confidence
+        filled = 0 if self.prior is None else int((sure < SURE).sum())
+        self.chooser.filled(FillingVerdict(points=int((sure < 0.5).sum()), of=len(sure), filled=filled))
+        self.record.evidence(scene)
+
+    def _draw(
+        self, rows: list[int], image: float, background: torch.Tensor, progress: float
+    ) -> tuple[LossInputs, Attributes]:
+        """The views in `rows` and what the losses look at beside them, and what was decoded for them."""
         scene, plan, frames = self.scene, self.plan, self.scene.frames_of(rows)
         pose_features = scene.pose_features(frames) if plan.dynamic else None
         attributes = scene.avatar.attributes(pose_features)
@@ -225,7 +246,7 @@ class Stage:
         motion = None
         if plan.poses_move_at(progress):
             motion = self.poses.state(len(set(frames)), self.record.verdicts.frames_mended or [])
-        return LossInputs(
+        inputs = LossInputs(
             render=seen.render,
             target=seen.target,
             alpha=seen.alpha,
@@ -237,6 +258,7 @@ class Stage:
             progress=progress,
             motion=motion,
         )
+        return inputs, attributes
 
     def _update(self, rows: list[int], progress: float) -> None:
         plan, optimizers = self.plan, self.optimizers
@@ -281,8 +303,6 @@ class Stage:
                 verdicts.frames_kept_as_estimated_stage2 = refused
             else:
                 verdicts.frames_kept_as_estimated = refused
-        if plan.fill_unseen and trained:
-            verdicts.unseen = fill_unseen(scene, plan.image)
         if trained and not plan.dynamic and self.chooser.paragraph:
             log.warning("measured on the footage: %s", self.chooser.paragraph)
         save_tensors(self.record.directory / result, self._avatar_state())
@@ -294,13 +314,18 @@ class Stage:
     def _avatar_state(self) -> dict[str, Any]:
         scene = self.scene
         shape = {} if scene.shape is None else {"betas": torch.from_numpy(scene.shape.betas)}
-        return shape | {
-            "avatar": scene.avatar.state_dict(),
-            "motion": scene.motion.state_dict(),
-            "stage": self.plan.number,
-            "gaussians": scene.built.count(self.plan.stage.levels[-1]),
-            "mask_matte": scene.footage.mask_matte,
-        }
+        evidence = {} if scene.evidence is None else {"evidence": scene.evidence.state()}
+        return (
+            shape
+            | evidence
+            | {
+                "avatar": scene.avatar.state_dict(),
+                "motion": scene.motion.state_dict(),
+                "stage": self.plan.number,
+                "gaussians": scene.built.count(self.plan.stage.levels[-1]),
+                "mask_matte": scene.footage.mask_matte,
+            }
+        )
 
     def save(self, step: int) -> None:
         """Write metrics and checkpoint of a stage of which `step` steps are done."""
@@ -311,6 +336,7 @@ class Stage:
             record.directory / CHECKPOINT,
             self._avatar_state()
             | {name: part.state_dict() for name, part in learnt.items() if part is not None}
+            | ({} if self.prior is None else {"prior": self.prior.state()})
             | {"step": step}
             | record.state(),
         )

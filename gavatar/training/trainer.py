@@ -29,6 +29,7 @@ from .pose_learning import PoseLearner
 from .precision import mixed
 from .record import Record
 from .remedies.exposure import Exposure
+from .remedies.placed_evidence import PlacedEvidence
 from .remedies.shape import new_shape
 from .scene import Scene
 from .stage import CHECKPOINT, Stage
@@ -38,7 +39,8 @@ class Trainer:
     """Trains one avatar in one run directory; a killed run continues from its last checkpoint to the same result.
 
     directory holds: config.yaml, checkpoint.pt (the state to resume from), stage1.pt and stage2.pt (the avatar after
-    each stage), motion.npz (refined motion), metrics.json, previews/.
+    each stage), motion.npz (refined motion), metrics.json, previews/,
+    evidence.png (the body coloured by what the views show of it).
     """
 
     def __init__(self, config: TrainConfig, directory: Path):
@@ -97,6 +99,8 @@ class Trainer:
             scene.shape.load_state_dict(state["shape"])
             if state["stage"] > 1:
                 scene.settle_shape()
+        if "evidence" in state:
+            scene.evidence = PlacedEvidence.from_state(state["evidence"], str(self.directory / CHECKPOINT))
         self.record.load_state(state)
 
 

@@ -43,7 +43,7 @@ class AdaptiveAvatar(PlayedAvatar):
         finest = self._make(1, None)
         self.bundle, self.name, self.tier = bundle, finest.name, finest.tier
         self.uv, self.pixel = finest.uv, finest.pixel
-        self.surface, self.expression = finest.surface, finest.expression
+        self.surface, self.expression, self.evidence = finest.surface, finest.expression, finest.evidence
         self.joint_names, self.joints = finest.joint_names, finest.joints
         self.stage_seconds: dict[str, float] = {}
         side = finest.surface.resolution

@@ -10,6 +10,7 @@ from ..bundle import Bundle
 from ..values.camera import Camera
 from ..values.gaussians import Gaussians
 from ..values.motion import Motion
+from ..values.point_evidence import Evidence
 from ..values.surface import Surface
 from .expression import Expression
 
@@ -21,6 +22,7 @@ class PlayedAvatar(Protocol):
     bundle: where it came from. name: of the person. tier: how its Gaussians are decoded. uv: level of detail, the side
     of the atlas that its Gaussians stand for. surface: where its N Gaussians sit. joint_names: of the body, J names.
     joints: (J, 3) rest joints of its shape, metres. expression: what expressions do to a body that has a face, or None.
+    evidence: how much of each Gaussian training saw, None in bundles that do not say.
     pixel: metres of the person that a pixel of the training images spanned, None where that is not known.
     stage_seconds: what the last call of `gaussians` spent on `encode`, `decode` and `skin`.
     """
@@ -33,6 +35,7 @@ class PlayedAvatar(Protocol):
     joint_names: tuple[str, ...]
     joints: np.ndarray
     expression: Expression | None
+    evidence: Evidence | None
     pixel: float | None
     stage_seconds: dict[str, float]
 

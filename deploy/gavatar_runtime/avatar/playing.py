@@ -25,6 +25,7 @@ from .played import PlayedAvatar
 from .played_body import read_body
 from .pose_blendshapes import Turns, read_pose_blendshapes
 from .reuse import Sparing
+from .seen_evidence import read_evidence
 from .visibility import seen_from
 
 
@@ -63,6 +64,8 @@ class Avatar(PlayedAvatar):
         self.joints = self.surface.joints
         expression = read_expression(self.bundle, len(stored), len(self.joints))
         self.expression = None if expression is None else expression.taken(chosen, len(stored))
+        known = read_evidence(self.bundle, len(stored))
+        self.evidence = known if known is None or chosen is None else known.take(chosen)
         self._offsets = self._read_offsets(len(stored), chosen)
         self.body = read_body(self.bundle, self.joints, 0 if expression is None else expression.count)
         self.joint_names = self.body.joint_names
