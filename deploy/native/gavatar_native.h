@@ -21,7 +21,9 @@
 #pragma once
 #include <stdint.h>
 
-#if defined(__GNUC__)
+#if defined(_WIN32)
+#define GV_API extern "C" __declspec(dllexport)
+#elif defined(__GNUC__)
 #define GV_API extern "C" __attribute__((visibility("default")))
 #else
 #define GV_API extern "C"
