@@ -25,7 +25,9 @@ Images are compared whole, composited on white, at the capture's size. The colum
 rendered: `refined` by training, `true` from the capture's ground truth, `estimated` as given in body.npz, `fitted` to
 the very images they are scored on (avatar frozen): never compare fitted rows with rows that are not.
 A run of two stages is told whether its dynamics gain what they cost on the frames held out of training.
-Writes evaluation.json and evaluation.png; with --all these into each run, and DIR/comparison.csv and .json.
+Writes evaluation.json and evaluation.png; with --all these into each run, and DIR/comparison.csv, .json and .html, a
+page with pictures. With --all, a run that was evaluated before in the same way is read and not measured again, so that
+a killed command continues, and jobs on other machines can evaluate their own runs; --again measures all.
 """
 
 
@@ -35,6 +37,7 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("run", metavar="RUN", help="run directory that gavatar-train wrote, or a folder of them")
     parser.add_argument("--all", action="store_true", help="evaluate every run in the folder, however deep")
+    parser.add_argument("--again", action="store_true", help="with --all: measure what was measured before, too")
     parser.add_argument("--stage", type=int, choices=(1, 2), help="avatar of this stage (default: the last trained)")
     parser.add_argument("--splits", nargs="+", metavar="SPLIT", help="splits to score (default: all of the capture)")
     parser.add_argument("--capture", metavar="DIR", help="where the capture is now, if it has moved")
@@ -50,36 +53,54 @@ def evaluate_one(
     directory: Path, out: Path, *, stage: int | None = None, capture: str | None = None, **how: Any
 ) -> Evaluation:
     """Evaluate a run and write evaluation.json and .png to `out`. how: keywords of `TrainedRun.evaluate`."""
+    from ..evaluation.comparison import preview_of
+    from ..evaluation.comparison_page import write_preview
     from ..evaluation.evaluation_figure import evaluation_figure
+    from ..evaluation.former import MEASURED, what_is_measured
     from ..face import open_run
+    from ..storage import write_json
 
+    measured = what_is_measured(directory, stage, how)
     result = open_run(directory, stage, capture).evaluate(**how)
-    result.write(out / "evaluation.json")
     evaluation_figure(result, out / "evaluation.png")
+    for row, (target, render) in zip(result.rows, result.pictures, strict=True):
+        write_preview(preview_of(out, row.as_json()), target, render)
+    write_json(out / "evaluation.json", result.as_json() | {MEASURED: measured})  # last: it stands for all of them
     return result
 
 
-def evaluate_all(folder: Path, out: Path | None, **how: Any) -> int:
+def evaluate_all(folder: Path, out: Path | None, *, again: bool = False, **how: Any) -> int:
     """Evaluate every run in a folder; those that cannot be are named, and the rest go on. 2 when there are such. out:
-    where to write instead of beside each run. how: keywords of `evaluate_one`."""
+    where to write instead of beside each run. again: also what was evaluated in the same way before. how: keywords of
+    `evaluate_one`."""
     from ..evaluation.comparison import Comparison, runs_in
+    from ..evaluation.comparison_page import job_faults
+    from ..evaluation.former import former_evaluation
 
-    together, comparison, failures = out or folder, Comparison(), []
+    together, comparison, failures, read = out or folder, Comparison(), [], 0
     for directory in runs_in(folder):
         name = directory.relative_to(folder).as_posix()
-        print(f"evaluating {directory}", file=sys.stderr)
+        place = directory if out is None else out / name
         try:
-            place = directory if out is None else out / name
-            comparison.add(name, evaluate_one(directory, place, **how))
+            former = None if again else former_evaluation(directory, place, how)
+            read += former is not None
+            if former is None:
+                print(f"evaluating {directory}", file=sys.stderr)
+            comparison.add(name, former or evaluate_one(directory, place, **how).as_json(), place)
         except UserError as error:
-            failures.append(f"{directory}: {error}")
+            failures.append((name, str(error)))
+    if read:
+        print(f"{read} runs were evaluated before: read, not measured again (--again measures them)", file=sys.stderr)
     if comparison.rows:
         comparison.write_csv(together / "comparison.csv")
         comparison.write_json(together / "comparison.json")
+        known = {name for name, _ in failures} | {row["run"] for row in comparison.rows}
+        lost = [(name, why) for name, why in job_faults(folder) if name not in known]
+        comparison.write_html(together / "comparison.html", f"Runs in {folder}", [*failures, *lost])
         print(comparison)
-        print(f"\nwrote {together / 'comparison.csv'} and {together / 'comparison.json'}")
-    for sentence in failures:
-        print(f"error: {sentence}", file=sys.stderr)
+        print(f"\nwrote {together / 'comparison.csv'}, .json and .html")
+    for name, sentence in failures:
+        print(f"error: {folder / name}: {sentence}", file=sys.stderr)
     return 2 if failures else 0
 
 
@@ -100,7 +121,9 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.all:
         if arguments.capture is not None:
             raise UserError("--capture is of one run: leave it out with --all")
-        return evaluate_all(Path(arguments.run), Path(arguments.out) if arguments.out else None, **how)
+        return evaluate_all(
+            Path(arguments.run), Path(arguments.out) if arguments.out else None, again=arguments.again, **how
+        )
     out = Path(arguments.out or arguments.run)
     result = evaluate_one(Path(arguments.run), out, capture=arguments.capture, **how)
     print(result)

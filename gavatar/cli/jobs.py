@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from gavatar_runtime.errors import UserError
@@ -21,6 +22,7 @@ from gavatar_runtime.progress import lines_only
 from ..config import register_configs
 from ..storage import write_json
 from ..training.run import train
+from .job_record import JobRecord
 
 DONE, CRASHED, MISTAKEN = 0, 1, 2  # exit codes, and what they stand for
 
@@ -49,17 +51,15 @@ class Job:
         """Train in Hydra's output directory. Errors are written down, not raised: other jobs go on."""
         hydra: Any = HydraConfig.get()
         directory = Path(hydra.runtime.output_dir)
-        shown = os.path.relpath(directory)
         if os.getpid() != self.home:
-            lines_only(shown)
-        try:
-            config.out = str(directory)
-            train(config, directory)
-            outcome = Outcome(shown, DONE)
-        except UserError as error:
-            outcome = Outcome(shown, MISTAKEN, str(error))
-        except Exception:
-            outcome = Outcome(shown, CRASHED, traceback.format_exc())
+            lines_only(os.path.relpath(directory))
+        config.out = str(directory)
+        if hydra.mode == RunMode.MULTIRUN:
+            with JobRecord(Path(hydra.sweep.dir), directory) as record:
+                outcome = _trained(config, directory)
+                record.end(outcome.code, outcome.message)
+        else:
+            outcome = _trained(config, directory)
         if outcome.code != DONE:
             with contextlib.suppress(OSError):  # Hydra made the directory; it stays only if there is something in it
                 directory.rmdir()
@@ -73,6 +73,17 @@ class Job:
         """How the jobs ended that did end, in their order."""
         files = sorted(self.outcomes.glob("*.json"), key=lambda path: int(path.stem))
         return [Outcome(**json.loads(path.read_text(encoding="utf-8"))) for path in files]
+
+
+def _trained(config: DictConfig, directory: Path) -> Outcome:
+    shown = os.path.relpath(directory)
+    try:
+        train(config, directory)
+    except UserError as error:
+        return Outcome(shown, MISTAKEN, str(error))
+    except Exception:
+        return Outcome(shown, CRASHED, traceback.format_exc())
+    return Outcome(shown, DONE)
 
 
 def arrive(names: Mapping[str, str], outcomes: Path, home: int) -> Job:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from gavatar_runtime.errors import UserError
 from ..storage import atomic, write_json
 from ..text_table import format_table
 from ..training.places import CONFIG
-from .result import Evaluation
+from .comparison_page import write_page
 
 # of a row of a run, with the decimals of its column; a column that no run has is left out
 COLUMNS = {
@@ -38,20 +38,31 @@ def runs_in(folder: Path) -> list[Path]:
     return sorted(found)
 
 
+def preview_of(place: Path, row: Mapping[str, Any]) -> Path:
+    """Where the small picture of a row's worst view lies. place: where its evaluation.json does."""
+    return place / "evaluation_views" / f"{row['split']}_{row['poses']}.jpg"
+
+
 @dataclasses.dataclass
 class Comparison:
     """Rows of all runs. rows: as in evaluation.json, with `run`, its path in the folder, `stage` and `gaussians`
-    before. Prints as a table."""
+    before. previews: of each row, its small picture. Prints as a table."""
 
     rows: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    previews: list[Path] = dataclasses.field(default_factory=list)
 
-    def add(self, name: str, result: Evaluation) -> None:
-        """The rows of an evaluated run."""
-        about = {"run": name, "stage": result.run.stage, "gaussians": len(result.run.avatar.surface)}
-        self.rows += [about | row.as_json() for row in result.rows]
+    def add(self, name: str, result: Mapping[str, Any], place: Path) -> None:
+        """The rows of an evaluated run. result: what its evaluation.json, which lies in `place`, holds."""
+        about = {"run": name, "stage": result["stage"], "gaussians": result["gaussians"]}
+        self.rows += [about | row for row in result["rows"]]
+        self.previews += [preview_of(place, row) for row in result["rows"]]
+
+    def columns(self) -> dict[str, tuple[str, int]]:
+        """The columns that a run has something for."""
+        return {title: c for title, c in COLUMNS.items() if any(row[c[0]] is not None for row in self.rows)}
 
     def __str__(self) -> str:
-        columns = {title: c for title, c in COLUMNS.items() if any(row[c[0]] is not None for row in self.rows)}
+        columns = self.columns()
         header = ["run", "split", "poses", "stage", "Gaussians", "views", *columns]
         cells = [
             [row["run"], row["split"], row["poses"], str(row["stage"]), str(row["gaussians"]), str(row["views"])]
@@ -70,6 +81,10 @@ class Comparison:
             writer = csv.DictWriter(file, list(_keys(self.rows)))
             writer.writeheader()
             writer.writerows(self.rows)
+
+    def write_html(self, path: Path, title: str, faults: Iterable[tuple[str, str]] = ()) -> None:
+        """Write a page with pictures. faults: (run, why) of those that have no rows."""
+        write_page(path, title, self.rows, self.columns(), self.previews, faults)
 
 
 def _keys(rows: Iterable[dict[str, Any]]) -> dict[str, None]:

@@ -129,8 +129,11 @@ def main() -> None:
             rows.append(row)
             faults += [f"{wheel.name}: {fault}" for fault in found]
             if arguments.install and (runner(contents.platform_of(wheel))[1] == "as it is" or "-any" in wheel.name):
-                picture = draw_installed(wheel, folder / f"fresh_{contents.platform_of(wheel)}")
-                drawn[f"{contents.platform_of(wheel)} installed"] = (picture, np.empty(0))
+                name = contents.platform_of(wheel)
+                try:
+                    drawn[f"{name} installed"] = draw_installed(wheel, folder / f"fresh_{name}"), np.empty(0)
+                except (RuntimeError, subprocess.CalledProcessError) as error:
+                    faults.append(f"{wheel.name}: {error}")
     print("| wheel | size | least system | run by | PSNR against NumPy in double precision |\n|---|---|---|---|---|")
     print("\n".join(rows) + "\n")
     faults += compare(drawn)

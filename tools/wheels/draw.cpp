@@ -51,6 +51,7 @@ int main(int count, char** arguments) {
   library = arguments[1];
   if (GV(gv_abi_version)() != GV_ABI_VERSION) return fprintf(stderr, "another version of the interface\n"), 1;
   if (GV(gv_struct_size)("GvGaussians") != sizeof(GvGaussians)) return fprintf(stderr, "another layout\n"), 1;
+  if (!GV(gv_isa_supported)(0)) return fprintf(stderr, "says that this processor lacks SSE4.1\n"), 1;
   if (count > 4) {
     int32_t wanted = -1;
     for (int32_t i = 0; i < GV(gv_isa_count)(); i++)

@@ -14,8 +14,10 @@ from tiny_capture import SMALL, write_tiny_capture
 from gavatar.cli import jobs
 from gavatar.cli import train as command
 from gavatar.cli.evaluate import main as evaluate_command
+from gavatar.cli.job_record import JobRecord
 from gavatar.cli.sweep import asks_for_many, distinct_names, sweep_arguments
 from gavatar.config import register_configs
+from gavatar.evaluation.comparison_page import job_faults
 from gavatar_runtime.errors import UserError
 
 QUICK = [o for o in SMALL if not o.startswith(("encoder", "stage"))] + [
@@ -127,6 +129,10 @@ def check_runs(place: Path, code: int, output: str, errors: str) -> None:
     assert "Traceback" not in errors
     assert json.loads((place / "runs/a/metrics.json").read_text())["finished"]
     assert not (place / "runs/b").exists()
+    records = {name: json.loads((place / f"runs/jobs/{name}.json").read_text()) for name in "ab"}
+    assert [(records[name]["state"], records[name]["code"]) for name in "ab"] == [("ended", 0), ("ended", 2)]
+    assert "000003" in records["b"]["message"]
+    assert "exit code 2" in (place / "runs/jobs/b.log").read_text()
     assert not list(place.glob("**/.gavatar*"))
 
 
@@ -209,6 +215,51 @@ def test_all_runs_of_a_folder_become_one_table_and_those_that_cannot_are_named(p
     assert table[0].startswith("run,stage,gaussians,split,poses,views,psnr,ssim")
     assert len(table) == 5
     assert (place / "runs/fine/evaluation.json").exists()
+    page = (place / "runs/comparison.html").read_text()
+    assert page.count("<img ") == 4
+    assert "has no finished stage yet" in page
+    assert "://" not in page  # it needs nothing from elsewhere
+
+
+def test_what_was_evaluated_before_is_read_and_what_changed_is_measured_again(place, capsys):
+    def evaluated(*more: str) -> list[str]:
+        with pytest.raises(SystemExit) as done:
+            evaluate_command(["--all", "runs", "--splits", "test", "--no-fit", "--no-perceptual", *more])
+        assert done.value.code == 0
+        return [line for line in capsys.readouterr().err.splitlines() if line.startswith("evaluating")]
+
+    assert train("capture=captures/a", "out=runs/one") == 0
+    assert len(evaluated()) == 1
+    first = (place / "runs/comparison.html").read_text()
+    assert evaluated() == []
+    assert (place / "runs/comparison.html").read_text() == first
+    assert len(evaluated("--again")) == 1
+    with pytest.raises(SystemExit):
+        evaluate_command(["--all", "runs", "--splits", "train", "--no-fit", "--no-perceptual"])
+    assert "evaluating" in capsys.readouterr().err  # asked for something else
+    assert train("capture=captures/a", "out=runs/one", "overwrite=true", "seed=5") == 0
+    assert len(evaluated()) == 1
+
+
+def test_a_killed_job_is_left_as_running_and_told_on_the_page(tmp_path):
+    record = JobRecord(tmp_path, tmp_path / "anna" / "seed=1")
+
+    def killed() -> None:
+        with record:
+            print("drawn\ragain\rlast\nnext")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        killed()
+    log = (tmp_path / "jobs/anna/seed=1.log").read_text().splitlines()
+    assert log[1:3] == ["last", "next"]
+    ((run, why),) = job_faults(tmp_path)
+    assert run == "anna/seed=1"
+    assert "no end was written" in why
+    record.end(0, "")
+    with record:
+        pass
+    assert job_faults(tmp_path) == []
 
 
 @pytest.mark.parametrize(
