@@ -146,7 +146,7 @@ def _load() -> tuple[ctypes.CDLL | None, str]:
         return None, "it is switched off by GAVATAR_NATIVE=0"
     path = Path(os.environ.get("GAVATAR_NATIVE_LIBRARY") or LIBRARY)
     if not path.exists():
-        return None, f"{path.name} was not compiled when gavatar was installed (no C++ compiler, or it failed)"
+        return None, f"{path.name} is not in this install (a wheel without it, no C++ compiler, or it failed)"
     try:
         lib = ctypes.CDLL(str(path))
         difference = mismatch(lib)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import base64
 import html
 import json
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import cv2
 import numpy as np
 
 from ..storage import atomic, write_image
 
-PREVIEW_HEIGHT = 160  # pixels: a person can be told from a blot, and a thousand rows stay at 10 MB
+PREVIEW_HEIGHT = 160  # pixels: a person can be told from a blot
+MOST_INSIDE = 3000  # rows; a picture takes 8 kB, and browsers grow slow with pages of more than some 30 MB
 
 STYLE = """
 :root { color-scheme: light dark; font: 14px/1.4 system-ui, sans-serif; }
@@ -59,13 +62,16 @@ def write_page(
     faults: Iterable[tuple[str, str]],
 ) -> None:
     """Write the page. columns: title of a column -> key in a row, and decimals. previews: a JPEG for each row; one that
-    is missing is left out. faults: (run, what is wrong with it)."""
+    is missing is left out. Pictures of more than `MOST_INSIDE` rows stay files, which the page refers to and says so.
+    faults: (run, what is wrong with it)."""
+    inside = len(rows) <= MOST_INSIDE
+    said = "" if inside else " Pictures are files in the runs: keep the page beside them."
     heads = ["run", "split", "poses", "stage", "Gaussians", "views", *columns, "footage and avatar, worst view"]
     lines = [
         "<!doctype html>", '<html lang="en">', '<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width">', f"<title>{html.escape(title)}</title>",
         f"<style>{STYLE}</style>", f"<h1>{html.escape(title)}</h1>",
-        f"<p>{len({row['run'] for row in rows})} runs. Whole frames on white. A click on a title sorts by it.</p>",
+        f"<p>{len({row['run'] for row in rows})} runs. Whole frames on white. A click on a title sorts.{said}</p>",
         _head(heads),
     ]  # fmt: skip
     for row, preview in zip(rows, previews, strict=True):
@@ -73,7 +79,7 @@ def write_page(
         cells = [f'<td class="word">{html.escape(word)}</td>' for word in words]
         cells += [f"<td>{row[key]}</td>" for key in ("stage", "gaussians", "views")]
         cells += [_number(row[key], digits) for key, digits in columns.values()]
-        cells.append(f'<td data-value="{row["psnr"]}">{_picture(preview, words)}</td>')
+        cells.append(f'<td data-value="{row["psnr"]}">{_picture(preview, words, None if inside else path.parent)}</td>')
         lines.append("<tr>" + "".join(cells) + "</tr>")
     lines.append("</tbody></table>")
     told = list(faults)
@@ -109,8 +115,12 @@ def _number(value: float | None, digits: int) -> str:
     return "<td></td>" if value is None else f'<td data-value="{value}">{value:.{digits}f}</td>'
 
 
-def _picture(path: Path, words: Sequence[str]) -> str:
+def _picture(path: Path, words: Sequence[str], beside: Path | None) -> str:
+    """The picture itself, or with `beside`, the page's folder, where it lies."""
     if not path.exists():
         return ""
-    data = base64.b64encode(path.read_bytes()).decode()
-    return f'<img loading="lazy" alt="{html.escape(" ".join(words))}" src="data:image/jpeg;base64,{data}">'
+    if beside is None:
+        source = f"data:image/jpeg;base64,{base64.b64encode(path.read_bytes()).decode()}"
+    else:
+        source = quote(Path(os.path.relpath(path, beside)).as_posix())
+    return f'<img loading="lazy" alt="{html.escape(" ".join(words))}" src="{source}">'

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 from tiny_capture import SMALL, write_tiny_capture
@@ -17,6 +19,7 @@ from gavatar.cli.evaluate import main as evaluate_command
 from gavatar.cli.job_record import JobRecord
 from gavatar.cli.sweep import asks_for_many, distinct_names, sweep_arguments
 from gavatar.config import register_configs
+from gavatar.evaluation import comparison_page
 from gavatar.evaluation.comparison_page import job_faults
 from gavatar_runtime.errors import UserError
 
@@ -197,7 +200,7 @@ def test_jobs_that_end_without_a_word_are_an_error(place, monkeypatch, capsys):
     assert "2 of 2 jobs ended without a result" in capsys.readouterr().err
 
 
-def test_all_runs_of_a_folder_become_one_table_and_those_that_cannot_are_named(place, capsys):
+def test_all_runs_of_a_folder_become_one_table_and_those_that_cannot_are_named(place, capsys, monkeypatch):
     assert train("capture=captures/a", "out=runs/fine") == 0
     assert train("capture=captures/a", "out=runs/fine/within", "seed=1") == 0
     (place / "runs/started").mkdir()
@@ -219,6 +222,14 @@ def test_all_runs_of_a_folder_become_one_table_and_those_that_cannot_are_named(p
     assert page.count("<img ") == 4
     assert "has no finished stage yet" in page
     assert "://" not in page  # it needs nothing from elsewhere
+    assert page.count("data:image/jpeg;base64,") == 4
+    monkeypatch.setattr(comparison_page, "MOST_INSIDE", 3)
+    with pytest.raises(SystemExit):
+        evaluate_command(["--all", "runs", "--splits", "train", "test", "--no-fit", "--no-perceptual"])
+    page = (place / "runs/comparison.html").read_text()
+    files = re.findall(r'src="([^"]*)"', page)
+    assert [(place / "runs" / unquote(file)).read_bytes()[:2] for file in files] == [b"\xff\xd8"] * 4
+    assert "keep the page beside them" in page
 
 
 def test_what_was_evaluated_before_is_read_and_what_changed_is_measured_again(place, capsys):
