@@ -103,8 +103,12 @@ def write_rule(folder: Path) -> None:
 def instruction_sets(machine: Machine, compiler: list[str]) -> dict[str, list[str]]:
     """Flags of each instruction set by its name."""
     # GCC does not align the stack for AVX on Windows (its bug 54412)
-    gcc_on_windows = machine.system == "win32" and "g++" in Path(compiler[0]).name and "clang" not in compiler[0]
-    return X86 if machine.x86_64 and not gcc_on_windows else {"baseline": []}
+    return X86 if machine.x86_64 and not is_mingw(machine, compiler) else {"baseline": []}
+
+
+def is_mingw(machine: Machine, compiler: list[str]) -> bool:
+    """Whether it is GCC that compiles for Windows."""
+    return machine.system == "win32" and "g++" in Path(compiler[0]).name
 
 
 def link_command(compiler: list[str], flags: list[str], machine: Machine, folder: Path, output: Path) -> list[str]:
@@ -115,8 +119,8 @@ def link_command(compiler: list[str], flags: list[str], machine: Machine, folder
     if machine.system == "darwin":
         return [*command, f"-Wl,-install_name,@rpath/_gavatar_native{machine.suffix}"]
     command += [] if "-g" in flags else ["-s"]  # no symbols, a smaller file
-    if machine.system == "win32":
-        return [*command, "-static"]
+    if machine.system == "win32":  # else it would want DLLs of its compiler
+        return [*command, "-static"] if is_mingw(machine, compiler) else command
     script = folder / "exports.map"  # what is linked in of a C++ library stays inside
     script.write_text("{ global: gv_*; local: *; };\n")
     return [*command, f"-Wl,--version-script={script}"]

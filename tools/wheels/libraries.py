@@ -36,6 +36,8 @@ def interface() -> set[str]:
 def faults(platform: str, library: Path) -> tuple[list[str], str]:
     """(what is wrong with a library, one sentence each; in a few words what it needs)."""
     parsed = lief.parse(str(library))
+    if parsed is None:
+        return [f"{library.name} is no library"], "-"
     check = {"manylinux": _elf, "macosx_": _macho, "win_amd": _pe}
     for start, one in check.items():
         if platform.startswith(start):
