@@ -34,6 +34,7 @@ from gavatar_runtime.errors import exit_cleanly
 from gavatar_runtime.geometry.rotations import matrix_from_axis_angle
 
 LEVELS = "[{until:0.65,gaussians:2850,image:0.25},{until:1.0,gaussians:10700,image:0.5}]"
+MOVING = "motion.enabled=true"
 STATIC = ["encoder=none", "stage2.steps=0"]
 # of every run but those named `auto`: nothing is decided by what is measured
 BY_HAND = ["mask_matte=0", "exposure=false", "motion.mend=0", "motion.betas=false", "motion.start=0"]
@@ -116,6 +117,13 @@ def STUDIES() -> dict[str, list[Variant]]:
             Variant("steady, exposure", ["exposure=true", *STATIC]),
             auto("steady", None),
         ],
+        "shape": [
+            Variant("wrong shape", [*STATIC, MOVING], fault="shape"),
+            Variant("wrong shape, betas", [*STATIC, MOVING, "motion.betas=true"], fault="shape"),
+            Variant("wrong shape, auto", [*STATIC, MOVING], fault="shape", auto=True),
+            Variant("right shape", [*STATIC, MOVING]),
+            Variant("right shape, auto", [*STATIC, MOVING], auto=True),
+        ],
         "size": [
             Variant("as trained, 256 px", STATIC, run="static"),
             Variant("512 px, pixel filter alone", STATIC, run="static", image=1.0, prepare=forget_pixel),
@@ -186,6 +194,11 @@ def planted(capture: Capture, folder: Path, true_poses: bool, fault: str | None)
         (folder / "body.npz").unlink()
         with np.load(source / "body.npz") as given, np.load(source / "body_truth.npz") as truth:
             np.savez(folder / "body.npz", **dict(given) | dict(truth))
+    if fault == "shape":
+        with np.load(folder / "body.npz") as given:
+            arrays = dict(given)
+        (folder / "body.npz").unlink()
+        np.savez(folder / "body.npz", **arrays | {"betas": arrays["betas"] + np.eye(1, arrays["betas"].size)[0]})
     if fault == "front":
         info["splits"]["train"] = facing(capture)
     if fault in FAULTS:

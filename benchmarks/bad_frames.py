@@ -3,10 +3,10 @@
     python benchmarks/bad_frames.py CAPTURE --json bad_frames.json
 
 Plants gross errors in a capture's estimated motion, trains stage 1 on it, and compares every training frame's error
-before and after, with and without the guard (`motion.guard`). The errors: a tenth of the frames with four joints
-turned by 30 degrees each; one frame in a hundred, two at least, with left and right limbs exchanged; four frames in a
-row whose root jumps 20 cm aside. Frames are dealt out by the seed; no frame gets two. Error of a frame: mean distance
-of its 22 joints from their true places in the world, mm.
+before and after, with and without the guard (`motion.guard`); `motion.mend=0` leaves them unmended. The errors: a tenth
+of the frames with four joints turned by 30 degrees each; one frame in a hundred, two at least, with left and right
+limbs exchanged; four frames in a row whose root jumps 20 cm aside. Frames are dealt out by the seed; no frame gets two.
+Error of a frame: mean distance of its 22 joints from their true places in the world, mm.
 """
 
 from __future__ import annotations

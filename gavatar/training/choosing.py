@@ -55,7 +55,7 @@ class Chooser:
         if measured is None:
             choice = Choice(False, None, "too few views show enough of the person to tell whether brightness drifts")
         else:
-            drifts, share = measured.drifts, f"{100 * measured.common:.0f} %"
+            drifts, share = measured.drifts, f"{max(1.0, 100 * measured.common):.0f} %"
             told = f"brightness drifts by {share}: corrected" if drifts else f"brightness is steady within {share}"
             choice = Choice(drifts, measured.common, told)
             if measured.log_gain is not None:

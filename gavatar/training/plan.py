@@ -72,6 +72,7 @@ class Plan:
 # fractions of stage 1: brightness is told by colours that are about right; whether a pose or a shape is wrong, by an
 # avatar that is one
 EXPOSURE_AT, MEND_AT, SHAPE_AT = 0.1, 0.2, 0.1
+SHAPE_AFTER, LEAST_STEPS = 50, 200  # steps: an avatar of a few gains by any shape, and short trainings have no other
 
 
 def settled(motion: MotionConfig) -> MotionConfig:
@@ -102,6 +103,7 @@ def appearance(config: TrainConfig) -> Plan:
     """Stage 1: how the person looks, and how they move."""
     motion, steps = settled(config.motion), config.stage1.steps
     mends = motion.enabled and motion.mend > 0
+    tries_shape = motion.enabled and motion.betas == AUTO and steps >= LEAST_STEPS
 
     def step_at(fraction: float, wanted: bool) -> int | None:
         return max(0, min(round(fraction * steps), steps - 1)) if wanted else None
@@ -122,7 +124,7 @@ def appearance(config: TrainConfig) -> Plan:
         narrowing=True,
         mend_step=step_at(motion.mend, mends),
         exposure_step=step_at(EXPOSURE_AT, config.exposure == AUTO),
-        shape_step=step_at(SHAPE_AT, motion.enabled and motion.betas == AUTO),
+        shape_step=max(SHAPE_AFTER, round(SHAPE_AT * steps)) if tries_shape else None,
         waits=motion.enabled and config.motion.start == AUTO,
         prior_step=prior_step(config.stage1),
         guard=motion.guard,

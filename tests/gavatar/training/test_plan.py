@@ -55,6 +55,17 @@ def test_outliers_are_mended_before_a_step_that_there_is(mend, steps, expected):
     assert plans(f"motion.mend={mend}", f"stage1.steps={steps}")[0].mend_step == expected
 
 
+def test_another_shape_is_tried_of_an_avatar_that_is_one():
+    steps = [plans("motion.betas=auto", f"stage1.steps={n}")[0].shape_step for n in (10, 199, 200, 1000)]
+    assert steps == [None, None, 50, 100]
+    assert plans("motion.betas=true")[0].shape_step is None
+
+
+def test_brightness_is_told_before_a_step_that_there_is():
+    assert [plans(f"stage1.steps={n}")[0].exposure_step for n in (1, 5, 1000)] == [0, 0, 100]
+    assert plans("exposure=false")[0].exposure_step is None
+
+
 def test_what_needs_moving_poses_rests_where_they_do():
     (one, *_) = plans("motion.enabled=false", "motion.mend=0.5", "motion.betas=true")
     assert (one.mend_step, one.learns_shape) == (None, False)
