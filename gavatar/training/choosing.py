@@ -83,7 +83,7 @@ class Chooser:
         """Note which frames were mended, by what was wrong with them."""
         verdicts = self.record.verdicts
         verdicts.frames_mended = sorted(frame for frames in wrong.values() for frame in frames)
-        said = {"exchanged": "with left and right exchanged"}
+        said = {"exchanged": "with left and right exchanged", "drawn along": "drawn off from a better estimate"}
         parts = [f"{_frames(len(frames))} {said.get(name, name)}" for name, frames in wrong.items() if frames]
         told = f"{', '.join(parts)}: mended" if parts else "no frame's pose is plainly wrong"
         count = len(verdicts.frames_mended)
