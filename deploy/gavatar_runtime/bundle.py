@@ -32,14 +32,15 @@ import numpy as np
 from .errors import MissingFile, UserError, cannot_read
 from .formats.bounded import arrays_of_npz, read_zipped
 from .formats.files import atomic
+from .geometry.grid_spacing import spacing_on_grid
 from .geometry.ordering import progressive_rank
-from .values.array_rules import Rule, checked
+from .values.array_rules import FAR, Rule, checked
 from .values.body import Hands
-from .values.surface import ATLAS_RULES, Atlas
+from .values.surface import ATLAS_RULES, SURFACE_RULES, Atlas, Surface
 from .version import __version__
 
 FORMAT = "gavatar"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2  # 1: the Gaussians are texels of an atlas
 MANIFEST = "manifest.json"
 SURFACE, BODY, DECODER, ENCODER = "surface.npz", "body.npz", "decoder.onnx", "encoder.onnx"
 ALWAYS, DYNAMIC = (SURFACE, BODY, DECODER), (ENCODER,)
@@ -157,15 +158,16 @@ class Bundle:
                 f"{self.path}: {member} is not a readable .npz ({cause}); export the avatar again"
             ) from error
 
-    def surfaces(self) -> tuple[Atlas, Atlas | None]:
+    def surfaces(self) -> tuple[Surface, Atlas | None]:
         """Where the Gaussians sit, and the surface of the encoder's positional map (None for a static avatar).
 
-        What playing does not need is not stored: there `face` is -1, `barycentric` and `spacing` are NaN; so are the
-        `normals` of a map whose encoder does not look at them, and of bundles written without them.
+        What playing does not need is not stored: there `face` is -1 and `barycentric` NaN; so are the `normals` of a
+        map whose encoder does not look at them, and of bundles written without them. A map has neither spacing (NaN)
+        nor rank (-1).
         """
         arrays, source = self.arrays(SURFACE), f"{self.path}: {SURFACE}"
-        gaussians = _unpack_surface(arrays, "gaussians_", source)
-        encoder_map = _unpack_surface(arrays, "map_", source) if self.manifest.dynamic else None
+        gaussians = _unpack_points(arrays, "gaussians_", source)
+        encoder_map = _unpack_grid(arrays, "map_", source) if self.manifest.dynamic else None
         if len(gaussians) != self.manifest.gaussians:
             raise UserError(
                 f"{source} holds {len(gaussians)} points and {MANIFEST} says {self.manifest.gaussians} Gaussians; "
@@ -221,16 +223,16 @@ def write_bundle(path: str | os.PathLike, manifest: Manifest, members: Mapping[s
     return manifest
 
 
-def pack_surfaces(gaussians: Atlas, encoder_map: Atlas | None = None, map_normals: bool = False) -> bytes:
-    """surface.npz: arrays `gaussians_*` and, for a dynamic avatar, `map_*`, of what playing needs of each surface:
-    resolution, texel, points, joint_index, joint_weight, joints, parents, A_canonical (see `Surface`). Normals of the
-    Gaussians are stored too, as float16, where they are known. map_normals: those of the map too, for an encoder that
-    looks at them."""
-    arrays = _pack_surface(gaussians, "gaussians_")
+def pack_surfaces(gaussians: Surface, encoder_map: Atlas | None = None, map_normals: bool = False) -> bytes:
+    """surface.npz: arrays `gaussians_*` and, for a dynamic avatar, `map_*`, of what playing needs of each surface
+    (see `Surface`): points, joint_index, joint_weight, joints, parents, A_canonical; of the Gaussians also uv, spacing
+    and rank, and normals as float16 where they are known; of the map also resolution and texel. map_normals: those of
+    the map too, for an encoder that looks at them."""
+    arrays = _pack_surface(gaussians, "gaussians_", _OF_GAUSSIANS)
     if np.isfinite(gaussians.normals).all():
         arrays["gaussians_normals"] = gaussians.normals.astype(np.float16)
     if encoder_map is not None:
-        arrays |= _pack_surface(encoder_map, "map_")
+        arrays |= _pack_surface(encoder_map, "map_", _OF_GRID)
         if map_normals:
             arrays["map_normals"] = np.asarray(encoder_map.normals, np.float32)
     return pack_arrays(arrays)
@@ -272,34 +274,52 @@ def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-_PACKED = ("resolution", "texel", "points", "joint_index", "joint_weight", "joints", "parents", "A_canonical")
+_PACKED = ("points", "joint_index", "joint_weight", "joints", "parents", "A_canonical")
+_OF_GAUSSIANS, _OF_GRID = ("uv", "spacing", "rank"), ("resolution", "texel")
 
 
-def _pack_surface(surface: Atlas, prefix: str) -> dict[str, np.ndarray]:
-    arrays = {name: np.asarray(getattr(surface, name)) for name in _PACKED}
+def _pack_surface(surface: Surface, prefix: str, more: Sequence[str]) -> dict[str, np.ndarray]:
+    arrays = {name: np.asarray(getattr(surface, name)) for name in (*more, *_PACKED)}
     if surface.num_joints <= 256:
         arrays["joint_index"] = arrays["joint_index"].astype(np.uint8)
     return {prefix + name: array for name, array in arrays.items()}
 
 
-_STORED_RULES = {name: rule for name, rule in ATLAS_RULES.items() if name in _PACKED}
-_STORED_RULES["normals"] = Rule(("N", 3), low=-2, high=2, optional=True)
+_NORMALS = Rule(("N", 3), low=-2, high=2, optional=True)
+_POINT_RULES = {name: rule for name, rule in SURFACE_RULES.items() if name in (*_OF_GAUSSIANS, *_PACKED)} | {
+    "rank": dataclasses.replace(SURFACE_RULES["rank"], optional=False),
+    "spacing": Rule(("N",), low=0, high=FAR),
+    "normals": _NORMALS,
+}
+_GRID_RULES = {name: rule for name, rule in ATLAS_RULES.items() if name in (*_OF_GRID, *_PACKED)} | {
+    "normals": _NORMALS
+}
 
 
-def _unpack_surface(arrays: Mapping[str, np.ndarray], prefix: str, source: str) -> Atlas:
-    known = checked(arrays, _STORED_RULES, source, prefix=prefix)
+def _unpack_points(arrays: Mapping[str, np.ndarray], prefix: str, source: str) -> Surface:
+    """The Gaussians' places. In a bundle of format 1 they are texels, whose spacing and order follow from these."""
+    if prefix + "texel" in arrays:
+        grid = _unpack_grid(arrays, prefix, source)
+        spacing = spacing_on_grid(grid.points, grid.texel, grid.resolution)
+        return dataclasses.replace(grid, rank=progressive_rank(grid.points), spacing=spacing)
+    known = checked(arrays, _POINT_RULES, source, prefix=prefix)
+    return Surface(**{**_left_out(len(known["points"])), **known})
+
+
+def _unpack_grid(arrays: Mapping[str, np.ndarray], prefix: str, source: str) -> Atlas:
+    known = checked(arrays, _GRID_RULES, source, prefix=prefix)
     texel, side = known["texel"], int(known["resolution"])
-    count = len(texel)
-    nan = np.full((count, 3), np.nan, np.float32)
-    left_out: dict[str, Any] = {
-        "uv": ((np.stack([texel % side, texel // side], -1) + 0.5) / side).astype(np.float32),
-        "face": np.full(count, -1, np.int32),
-        "barycentric": nan,
-        "normals": nan,
-        "spacing": nan[:, 0],
-        "rank": progressive_rank(known["points"]),
+    uv = ((np.stack([texel % side, texel // side], -1) + 0.5) / side).astype(np.float32)
+    absent: dict[str, Any] = {
+        "spacing": np.full(len(texel), np.nan, np.float32),
+        "rank": np.full(len(texel), -1, np.int32),
     }
-    return Atlas(**{**left_out, **known, "resolution": side})
+    return Atlas(**{**_left_out(len(texel)), **absent, **known, "uv": uv, "resolution": side})
+
+
+def _left_out(count: int) -> dict[str, Any]:
+    nan = np.full((count, 3), np.nan, np.float32)
+    return {"face": np.full(count, -1, np.int32), "barycentric": nan, "normals": nan}
 
 
 def _write_member(file: zipfile.ZipFile, name: str, data: bytes) -> None:

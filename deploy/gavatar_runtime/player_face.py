@@ -7,7 +7,7 @@ import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -15,12 +15,11 @@ from .avatar import playing
 from .avatar.poses import joint_rows, numbers, pose_of_parts
 from .bundle import Bundle, read_bundle
 from .conversions import convert
-from .decoding.detail import uv_for_count
 from .errors import WrongValue
 from .motions.builtin import relaxed_pose
 from .notes import Note
 from .play.performance import PlayReport, perform
-from .play.staging import Shot
+from .play.staging import Level, Shot, gaussians_of_side
 from .render.renderer import Renderer
 from .tiers import stored_tiers
 from .values.camera import Camera
@@ -42,16 +41,19 @@ def load(
     """The avatar in a bundle.
 
     tier: how its Gaussians are decoded, of those that the bundle holds; '' for the networks as they were trained.
-    gaussians: at most so many of them, each the larger; uv: the same as a side of the atlas; None for all.
+    gaussians: at most so many of them, each the larger, None for all. uv: the former way to say so, as the side of an
+    atlas with so many texels on the body.
     threads: that decode, None for one a core.
     Raises UserError for a bundle that is not there, damaged or of a later format, and for what it does not hold.
     """
     bundle = path if isinstance(path, Bundle) else read_bundle(path)
     if gaussians is not None and uv is not None:
         raise WrongValue("`gaussians` and `uv` both choose the level of detail: give one of them")
-    if gaussians is not None:
-        uv = uv_for_count(bundle.surfaces()[0], gaussians)
-    return Avatar(bundle, tier=tier, uv=uv, threads=threads)
+    if uv is not None:
+        Level(uv=uv)
+        gaussians, note = gaussians_of_side(bundle, uv)
+        warnings.warn(note, Note, stacklevel=2)
+    return Avatar(bundle, tier=tier, gaussians=gaussians, threads=threads)
 
 
 class Avatar(playing.Avatar):
@@ -64,8 +66,8 @@ class Avatar(playing.Avatar):
     expression: (E,) coefficients of a body with a face. What moves in a pose that the body lacks is left out with a
     warning. The world is y-up, in metres; a person who is not turned faces +z.
 
-    tier, uv, threads and more: see `playing.Avatar`. Every method raises UserError for what the caller can mend, most
-    often `WrongValue`, which is a ValueError too.
+    tier, gaussians, threads and more: see `playing.Avatar`. Every method raises UserError for what the caller can mend,
+    most often `WrongValue`, which is a ValueError too.
     """
 
     def __repr__(self) -> str:
@@ -152,7 +154,7 @@ class Avatar(playing.Avatar):
         *,
         motions: Iterable[str | Path | Motion] | None = None,
         tier: str | None = None,
-        gaussians: int | None = None,
+        gaussians: int | Literal["auto"] | None = None,
         conversion: str | None = None,
         conversion_options: Mapping[str, Any] | None = None,
     ) -> None:
@@ -160,8 +162,9 @@ class Avatar(playing.Avatar):
         "anna.html", motions=["wave", "dance.npz"])` writes a web page that plays offline.
 
         motions: built-in ones by name, files or `Motion`s, None for some built-in ones; the first plays at the start.
-        tier: how the look is taken, None for the best that the format can play. gaussians: at most so many. conversion,
-        conversion_options: the name of one where the suffix does not tell, and options of its own.
+        tier: how the look is taken, None for the best that the format can play. gaussians: at most so many, "auto" for
+        as many as the footage's pixels were worth. conversion, conversion_options: the name of one where the suffix
+        does not tell, and options of its own.
         """
         notes = convert(
             self.bundle, path, motions=motions, tier=tier, gaussians=gaussians, name=conversion,

@@ -13,7 +13,7 @@ export class Controls {
     this.find = (name) => root.querySelector(`[data-part="${name}"]`);
     this.state = {
       motion: null, time: 0, playing: true, speed: 1, loop: true, background: "white", tier: engine.info.tier,
-      gaussians: engine.info.gaussians, camera: { azimuth: 0, elevation: 0, distance: 3, target: [0, 0, 0] },
+      gaussians: engine.info.first ?? engine.info.gaussians, camera: { azimuth: 0, elevation: 0, distance: 3, target: [0, 0, 0] },
     };
     this.dirty = true;
     this.shown = [];
@@ -34,7 +34,7 @@ export class Controls {
     tiers.value = info.tier;
     tiers.closest("label").hidden = info.tiers.length < 2;
     const count = this.find("gaussians");
-    [count.min, count.max, count.value] = [Math.min(1000, info.gaussians), info.gaussians, info.gaussians];
+    [count.min, count.max, count.value] = [Math.min(1000, info.gaussians), info.gaussians, this.state.gaussians];
     this.find("speed").replaceChildren(...SPEEDS.map((s) => new Option(`${s}x`, s, s === 1, s === 1)));
     this.find("background").replaceChildren(...Object.keys(BACKGROUNDS).map((name) => new Option(name, name)));
     this.find("panel").open = !window.matchMedia("(max-width: 600px)").matches; // there it would hide the avatar

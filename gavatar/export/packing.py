@@ -15,9 +15,7 @@ from gavatar_runtime.bundle import (
     pack_body,
     pack_surfaces,
 )
-from gavatar_runtime.errors import UserError
 from gavatar_runtime.values.point_evidence import MEMBER as EVIDENCE
-from gavatar_runtime.values.surface import Atlas
 
 from ..avatar.blendshapes import expression_of, pose_blendshapes_of
 from ..registry import ENCODERS, RASTERIZERS, split_node
@@ -87,8 +85,6 @@ def members_of(run: Run, manifest: Manifest) -> dict[str, bytes]:
         members[ENCODER] = with_metadata(encoder_model(avatar), metadata)
         encoder_map = run.built.atlas(avatar.encoder.map_size)
         sees_normals = "normal_map" in avatar.encoder_traits.inputs
-    if not isinstance(avatar.surface, Atlas):
-        raise UserError(f"{run.directory}: only Gaussians that are texels of the atlas can be exported")
     members[SURFACE] = pack_surfaces(avatar.surface, encoder_map, sees_normals)
     joints = data.shaped(betas)[1]
     members[BODY] = pack_body(data.joint_names, data.parents, joints, betas, data.rest_pose, data.hands)

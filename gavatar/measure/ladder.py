@@ -9,7 +9,7 @@ from typing import Any
 
 from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.bundle import Bundle, read_bundle
-from gavatar_runtime.decoding.detail import uv_for_size
+from gavatar_runtime.decoding.detail import count_for_size
 from gavatar_runtime.geometry.spacing import evenly_spaced
 from gavatar_runtime.play.framing import frame_motion, size_on_screen
 from gavatar_runtime.tiers import members_read, stored_tiers
@@ -85,8 +85,8 @@ def run_ladder(
     avatar = Avatar(bundle, tier=None)
     camera = frame_motion(avatar, motion, width, height)
     if choices is None:
-        auto = uv_for_size(avatar.surface, size_on_screen(avatar, motion, [camera] * len(motion)))
-        choices = default_choices(bundle, auto)
+        enough = count_for_size(avatar.surface, size_on_screen(avatar, motion, [camera] * len(motion)))
+        choices = default_choices(bundle, enough)
     frames = evenly_spaced(len(motion), QUALITY_FRAMES).tolist()
     full = images(Choice(), bundle, motion, frames, [camera] * len(frames))
     footage = None if capture is None else held_out(capture, lambda motion: avatar.fit(motion)[0])
@@ -99,7 +99,7 @@ def run_ladder(
             filmed = compare(drawn, footage.targets, perceptual)
         row = Row(
             choice,
-            len(Avatar(bundle, tier=None, uv=choice.uv)),
+            len(Avatar(bundle, tier=None, gaussians=choice.gaussians)),
             width,
             height,
             tier_bytes(bundle, choice.tier) / 1e6,

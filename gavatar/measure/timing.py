@@ -102,7 +102,7 @@ def measure_process(choice: Choice, path: Path, width: int, height: int, speed: 
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "gavatar_runtime.cli.play", str(path), "--tier", choice.tier, "--quiet"]
         command += ["--width", str(width), "--height", str(height), "--reuse", str(choice.reuse)]
-        command += ["--uv", str(choice.uv)] if choice.uv else []
+        command += ["--gaussians", str(choice.gaussians)] if choice.gaussians else []
         command += ["--seen-only"] if choice.seen_only else []
         for name, value in choice.switches.items():
             command += ["--set", f"rasterizer.{name}={str(value).lower()}"]

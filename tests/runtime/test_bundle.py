@@ -15,7 +15,7 @@ import pytest
 from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.bundle import FORMAT_VERSION, Manifest, pack_arrays, pack_surfaces, read_bundle, write_bundle
 from gavatar_runtime.errors import UserError
-from gavatar_runtime.values.surface import Surface
+from gavatar_runtime.values.surface import Atlas, Surface
 
 pytest.importorskip("onnx", reason="the hand-made networks need onnx")
 from make_bundle import MAP_RESOLUTION, free_body, make_bundle, manifest, members, surface_of
@@ -87,13 +87,19 @@ def test_surfaces_keep_exactly_what_playing_needs(tmp_path):
     bundle = read_bundle(make_bundle(tmp_path / "a.gavatar", 50, dynamic=True))
     read, read_map = bundle.surfaces()
     body = free_body()
-    for made, back in ((surface_of(body, 50, 32), read), (surface_of(body, 200, MAP_RESOLUTION), read_map)):
-        for name in ("texel", "points", "joint_index", "joint_weight", "joints", "parents", "A_canonical"):
+    kept = ("points", "joint_index", "joint_weight", "joints", "parents", "A_canonical")
+    made_map = surface_of(body, 200, MAP_RESOLUTION)
+    for made, back, names in (
+        (surface_of(body, 50, 32), read, ("uv", "spacing", "rank", *kept)), (made_map, read_map, ("texel", *kept)),
+    ):  # fmt: skip
+        for name in names:
             np.testing.assert_array_equal(getattr(back, name), getattr(made, name), err_msg=name)
             assert getattr(back, name).dtype == getattr(made, name).dtype, name
-        assert back.resolution == made.resolution
-    centre = np.stack([read.texel % 32, read.texel // 32], -1) + 0.5
-    np.testing.assert_array_equal(read.uv, (centre / 32).astype(np.float32))
+    assert type(read) is Surface
+    assert type(read_map) is Atlas
+    assert read_map.resolution == MAP_RESOLUTION
+    centre = np.stack([read_map.texel % MAP_RESOLUTION, read_map.texel // MAP_RESOLUTION], -1) + 0.5
+    np.testing.assert_array_equal(read_map.uv, (centre / MAP_RESOLUTION).astype(np.float32))
     np.testing.assert_allclose(read.normals, surface_of(body, 50, 32).normals, atol=5e-4)  # float16
 
 
@@ -242,7 +248,7 @@ def test_a_member_name_that_leaves_the_bundle_is_never_followed(bundle, name):
         ({"gaussians_points": None}, "lacks the array 'gaussians_points'"),
         ({"gaussians_points": np.zeros((3, 3), np.float32)}, "'gaussians_points' has shape"),
         ({"gaussians_joint_index": np.full((300, 4), 99, np.uint8)}, "'gaussians_joint_index' points outside 0 to 51"),
-        ({"gaussians_texel": np.full(300, -1, np.int32)}, "'gaussians_texel' points outside"),
+        ({"gaussians_rank": np.full(300, -1, np.int32)}, "'gaussians_rank' points outside"),
     ],
 )
 def test_a_surface_that_does_not_hold_together(tmp_path, change, message):

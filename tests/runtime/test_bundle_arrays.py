@@ -92,10 +92,13 @@ def altered(member, name, place, value):
 @pytest.mark.parametrize(
     ("member", "name", "place", "value", "fault"),
     [
-        ("surface.npz", "gaussians_resolution", (), 0, "holds 0, less than 1"),
-        ("surface.npz", "gaussians_resolution", (), 2**40, "more than 16384"),
+        ("surface.npz", "map_resolution", (), 0, "holds 0, less than 1"),
+        ("surface.npz", "map_resolution", (), 2**40, "more than 16384"),
         ("surface.npz", "map_texel", 3, 256, "points outside 0 to 255"),
-        ("surface.npz", "gaussians_texel", 0, -1, "points outside 0 to 1023"),
+        ("surface.npz", "map_texel", 0, -1, "points outside 0 to 255"),
+        ("surface.npz", "gaussians_rank", 0, 1, "is no order of 60 things"),
+        ("surface.npz", "gaussians_rank", 0, -1, "points outside 0 to 59"),
+        ("surface.npz", "gaussians_spacing", 0, -0.1, "holds -0.1, less than 0"),
         ("surface.npz", "map_joint_index", (0, 0), 52, "points outside 0 to 51"),
         ("surface.npz", "gaussians_joint_weight", (5, 0), 0.3, "has weights that sum to .*, not 1"),
         ("surface.npz", "gaussians_joint_weight", (5, 0), -0.1, "holds -0.1, less than 0"),

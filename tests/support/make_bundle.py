@@ -14,6 +14,7 @@ from onnx import TensorProto, helper, numpy_helper
 from places import BODY_FILE
 
 from gavatar_runtime.bundle import Manifest, pack_body, pack_surfaces, write_bundle
+from gavatar_runtime.geometry.ordering import progressive_rank
 from gavatar_runtime.values.body import BodyData
 from gavatar_runtime.values.motion import Motion
 from gavatar_runtime.values.surface import Atlas
@@ -56,7 +57,7 @@ def surface_of(body: BodyData, count: int, resolution: int) -> Atlas:
         joint_index=index.astype(np.int32),
         joint_weight=(weight / weight.sum(1, keepdims=True)).astype(np.float32),
         spacing=np.full(count, SCALE, np.float32),
-        rank=np.arange(count, dtype=np.int32),
+        rank=progressive_rank(corners.mean(1)),
         joints=np.asarray(joints, np.float64),
         parents=np.asarray(body.parents, np.int32),
         A_canonical=body.skinning(canonical).astype(np.float64),

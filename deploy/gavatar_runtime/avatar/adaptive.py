@@ -8,6 +8,7 @@ from collections import Counter, deque
 import numpy as np
 
 from ..bundle import Bundle
+from ..decoding.detail import FEWEST
 from ..errors import WrongValue
 from ..values.camera import Camera
 from ..values.gaussians import Gaussians
@@ -16,7 +17,7 @@ from .played import PlayedAvatar
 from .playing import Avatar
 
 REUSE = (1, 2, 4, 8)
-DETAIL = (0.75, 0.5, 0.375, 0.25)  # of the side of the atlas
+DETAIL = (0.56, 0.25, 0.14, 0.06)  # of the Gaussians
 PATIENCE, RECOVERY = 4, 30  # frames looked at before it gets cheaper, and before it gets finer
 TYPICAL, NEARLY_ALL = 50, 90  # percentiles: over the budget is a typical frame, well under it are nearly all
 FAR = 2.0  # times the budget: so slow that two levels are skipped at once
@@ -30,27 +31,26 @@ class AdaptiveAvatar(PlayedAvatar):
     It looks at percentiles of the last frames at the present level, where one slow frame counts once: a running mean
     carries it along. Where decodes are reused, a frame is the mean of a turn.
 
-    Plays like `Avatar`; the player tells it by `frame_took` how long each frame was. levels: (reuse, uv) from the
-    finest; uv None is all.
+    Plays like `Avatar`; the player tells it by `frame_took` how long each frame was. levels: (reuse, Gaussians)
+    from the finest; None is all.
     Raises UserError for a budget that is not positive.
     """
 
     def __init__(self, bundle: Bundle, budget_s: float, *, tier: str = "", threads: int | None = None):
         if not budget_s > 0:
             raise WrongValue(f"a budget of {1000 * budget_s:g} ms a frame is not possible: give a positive number")
-        self._make = lambda reuse, uv: Avatar(bundle, tier=tier, uv=uv, reuse=reuse, threads=threads)
+        self._make = lambda reuse, count: Avatar(bundle, tier=tier, gaussians=count, reuse=reuse, threads=threads)
         self.budget_s = budget_s
         finest = self._make(1, None)
         self.bundle, self.name, self.tier = bundle, finest.name, finest.tier
-        self.uv, self.pixel = finest.uv, finest.pixel
+        self.pixel = finest.pixel
         self.surface, self.expression, self.evidence = finest.surface, finest.expression, finest.evidence
         self.joint_names, self.joints = finest.joint_names, finest.joints
         self.stage_seconds: dict[str, float] = {}
-        side = finest.surface.resolution
         reuses = REUSE if finest.networks else (1,)
-        uvs = [max(64, round(side * share)) for share in DETAIL]
+        counts = [max(FEWEST, round(len(finest) * share)) for share in DETAIL]
         self.levels: list[tuple[int, int | None]] = [(reuse, None) for reuse in reuses]
-        self.levels += [(reuses[-1], uv) for uv in dict.fromkeys(uvs) if uv < side]
+        self.levels += [(reuses[-1], count) for count in dict.fromkeys(counts) if count < len(finest)]
         self.level = 0
         self.frames: Counter[int] = Counter()  # by level
         self._finest, self._avatars = finest, {0: finest}
@@ -112,6 +112,6 @@ class AdaptiveAvatar(PlayedAvatar):
     def report(self) -> list[dict]:
         """Frames played at each level that was used, the finest first."""
         return [
-            {"reuse": self.levels[i][0], "uv": self.levels[i][1], "frames": count}
+            {"reuse": self.levels[i][0], "gaussians": self.levels[i][1], "frames": count}
             for i, count in sorted(self.frames.items())
         ]

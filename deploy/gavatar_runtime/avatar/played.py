@@ -19,8 +19,8 @@ class PlayedAvatar(Protocol):
     """An avatar that can be posed frame by frame: `Avatar` at one level of detail, `AdaptiveAvatar` at one after
     another, where these fields are those of its finest level.
 
-    bundle: where it came from. name: of the person. tier: how its Gaussians are decoded. uv: level of detail, the side
-    of the atlas that its Gaussians stand for. surface: where its N Gaussians sit. joint_names: of the body, J names.
+    bundle: where it came from. name: of the person. tier: how its Gaussians are decoded. surface: where its N
+    Gaussians sit, at its level of detail. joint_names: of the body, J names.
     joints: (J, 3) rest joints of its shape, metres. expression: what expressions do to a body that has a face, or None.
     evidence: how much of each Gaussian training saw, None in bundles that do not say.
     pixel: metres of the person that a pixel of the training images spanned, None where that is not known.
@@ -30,7 +30,6 @@ class PlayedAvatar(Protocol):
     bundle: Bundle
     name: str
     tier: str | None
-    uv: int
     surface: Surface
     joint_names: tuple[str, ...]
     joints: np.ndarray

@@ -10,7 +10,7 @@ from time import perf_counter
 import numpy as np
 
 from ..bundle import Bundle, read_bundle
-from ..decoding.detail import thinned
+from ..decoding.detail import first
 from ..errors import WrongValue
 from ..geometry.skinning import skin
 from ..tiers import Parts, build_tier, player_tiers
@@ -34,7 +34,7 @@ class Avatar(PlayedAvatar):
 
     bundle: an opened `Bundle` or the path of one. tier: how its Gaussians are decoded, one that the bundle holds, ''
     for the one that every bundle does; None opens the body alone, at a fraction of the cost, for whatever asks for no
-    Gaussians. uv: level of detail as a side of the atlas, None for all Gaussians of the bundle (`detail.thinned`).
+    Gaussians. gaussians: at most so many, each the larger, None for all of the bundle (`detail.first`).
     reuse: decode every so many calls only (`reuse.Faded`). seen_only: decode only what the camera given to `gaussians`
     can see, where the tier and the bundle can do that and decodes are not reused (`visibility.seen_from`).
     threads: that decode, None for one a core. Its fields are those of `PlayedAvatar`.
@@ -46,7 +46,7 @@ class Avatar(PlayedAvatar):
         bundle: Bundle | str | os.PathLike,
         *,
         tier: str | None = "",
-        uv: int | None = None,
+        gaussians: int | None = None,
         reuse: int = 1,
         seen_only: bool = False,
         threads: int | None = None,
@@ -58,8 +58,7 @@ class Avatar(PlayedAvatar):
         self.name = self.bundle.manifest.name
         self.pixel = _training_pixel(self.bundle)
         stored, map_surface = self.bundle.surfaces()
-        chosen, added = (None, None) if uv is None or uv == stored.resolution else thinned(stored, uv)
-        self.uv = stored.resolution if uv is None else uv
+        chosen, added = (None, None) if gaussians is None or gaussians >= len(stored) else first(stored, gaussians)
         self.surface = stored if chosen is None else stored.take(chosen)
         self.joints = self.surface.joints
         expression = read_expression(self.bundle, len(stored), len(self.joints))

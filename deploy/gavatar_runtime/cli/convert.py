@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from ..errors import exit_cleanly, options_spelled, spelled
+from .play_arguments import detail
 from .settings import as_flags, parse_options
 
 DESCRIPTION = (
@@ -32,7 +33,10 @@ def parser() -> argparse.ArgumentParser:
         "--motions", metavar="NAME,FILE", default=None, help="built-in motions and files, the first plays at the start "
         "(default: turn,wave)",
     )  # fmt: skip
-    p.add_argument("--gaussians", type=int, metavar="N", help="at most so many Gaussians (default: all)")
+    p.add_argument(
+        "--gaussians", type=detail, metavar="N|auto", help="at most N Gaussians, or auto: as many as the footage's "
+        "pixels were worth (default: all)",
+    )  # fmt: skip
     p.add_argument("--tier", metavar="NAME", help="how the look is taken (default: the best that the format can play)")
     p.add_argument("--conversion", metavar="NAME", help="kind of file, where the suffix of PATH alone does not tell")
     p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="an option of the conversion")

@@ -132,12 +132,12 @@ def _add_work(work: argparse._ArgumentGroup) -> None:
         help="keep frames within MS: adapts the level of detail as it plays",
     )
     work.add_argument(
-        "--uv",
-        "--detail",
+        "--gaussians",
         type=detail,
-        metavar="R|auto",
-        help="level of detail: side of the atlas, or auto: by the person's size on screen (default: all Gaussians)",
+        metavar="N|auto",
+        help="level of detail: at most N Gaussians, or auto: as many as the person's pixels need (default: all)",
     )
+    work.add_argument("--uv", "--detail", type=detail, metavar="R", help="the former --gaussians, as an atlas's side")
     work.add_argument(
         "--seen-only", action="store_true", help="full and int8 decode only Gaussians that the camera can see"
     )

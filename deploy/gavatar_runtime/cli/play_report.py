@@ -60,7 +60,7 @@ def table(report: PlayReport) -> str:
         f"ready to play after {report.ready_seconds:.2f} s",
     ]
     for level in report.levels:
-        detail = "all Gaussians" if level["uv"] is None else f"uv {level['uv']}"
+        detail = f"{level['gaussians'] or 'all'} Gaussians"
         every = "" if level["reuse"] == 1 else f", decoded every {level['reuse']} frames"
         lines.append(f"budget {report.budget_ms:g} ms: {level['frames']} frames with {detail}{every}")
     return "\n".join(lines)

@@ -31,6 +31,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("avatar", metavar="NAME.gavatar", help="bundle that gavatar-export wrote, zipped or unpacked")
     p.add_argument("--motion", metavar="NAME,FILE", default="", help="more motions; the first plays")
     p.add_argument("--tier", metavar="NAME", help="how it is decoded at the start (default: the first that it holds)")
+    p.add_argument("--gaussians", type=int, metavar="N", help="at most so many at the start (default: all)")
     p.add_argument("--drive", metavar="CAMERA", help="a webcam by its number, or a video: it does as that person")
     p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="an option of the driver "
                    "(gavatar-list driver): fov=65, degrees that the camera sees over its longer side")  # fmt: skip
@@ -55,7 +56,9 @@ def main(argv: list[str] | None = None) -> int:
 
     with options_spelled(as_flags(vars(arguments))):
         bundle, motions = read_bundle(arguments.avatar), motions_named(arguments.motion)
-        scene = ViewedAvatar(bundle, motions, tier=arguments.tier, threads=arguments.threads)
+        scene = ViewedAvatar(
+            bundle, motions, tier=arguments.tier, gaussians=arguments.gaussians, threads=arguments.threads
+        )
         source = None if arguments.drive is None else source_to_drive(arguments.drive)
         with options_spelled(as_settings("")):
             driver = build_driver(parse_options(arguments.set)) if arguments.set else None

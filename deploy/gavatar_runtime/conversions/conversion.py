@@ -7,13 +7,15 @@ import dataclasses
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from ..avatar.playing import Avatar
 from ..bundle import Bundle
 from ..components import Component, Registry
+from ..decoding.detail import count_for_footage
 from ..errors import WrongValue, did_you_mean
 from ..motions import MOTIONS, read_motion
+from ..play.defaults import AUTO
 from ..play.outputs.output import suffix_of
 from ..plugins import load_entry_points
 from ..values.motion import Motion
@@ -83,7 +85,7 @@ def convert(
     *,
     motions: Iterable[str | Path | Motion] | None = None,
     tier: str | None = None,
-    gaussians: int | None = None,
+    gaussians: int | Literal["auto"] | None = None,
     name: str | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> tuple[str, ...]:
@@ -91,7 +93,7 @@ def convert(
 
     bundle: an opened one or its path. motions: that go with it, built-in ones by name, files or `Motion`s, None for
     `default_motions`; the first plays at the start. tier: how its look is taken, None for the conversion's choice.
-    gaussians: at most so many.
+    gaussians: at most so many, `auto` for as many as the footage's pixels were worth, None for all.
     name, options: of the conversion, where the suffix does not tell, and options of its own.
     Raises UserError for whatever cannot be read, converted or written.
     """
@@ -100,6 +102,10 @@ def convert(
     wanted = list(default_motions() if motions is None else motions) or [MOTIONS.default]
     read = [m if isinstance(m, Motion) else read_motion(m) for m in wanted]
     fitted = _told_apart([avatar.fit(motion) for motion in read], conversion.notes)
+    if isinstance(gaussians, str):
+        if gaussians != AUTO:
+            raise WrongValue(f"`gaussians={gaussians}`: give a whole number from 1 up, or {AUTO}")
+        gaussians = count_for_footage(avatar.surface, avatar.pixel)
     conversion.write(Request(avatar, fitted, tier, gaussians), Path(path))
     return tuple(dict.fromkeys(conversion.notes))
 

@@ -36,10 +36,10 @@ class PlayReport:
     """What was played.
 
     avatar, motion: their names. output: the path that was written. frames: that it holds. width, height: pixels, and
-    rasterizer, the class that drew; None where nothing was drawn. gaussians: of the avatar at full detail. tier, uv:
-    how they were decoded. ignored_joints: what moves in the motion that the body lacks. notes: sentences for the user.
-    ready_seconds: from the call to the first frame. timings: of each frame. budget_ms, levels: of an avatar that
-    adapts (`AdaptiveAvatar.report`), else None and ().
+    rasterizer, the class that drew; None where nothing was drawn. gaussians: that were played, at full detail of an
+    avatar that adapts. tier: how they were decoded. ignored_joints: what moves in the motion that the body lacks.
+    notes: sentences for the user. ready_seconds: from the call to the first frame. timings: of each frame. budget_ms,
+    levels: of an avatar that adapts (`AdaptiveAvatar.report`), else None and ().
     """
 
     avatar: str
@@ -51,7 +51,6 @@ class PlayReport:
     fps: float
     gaussians: int
     tier: str | None
-    uv: int
     rasterizer: str | None
     threads: int | None
     ignored_joints: tuple[str, ...]
@@ -75,8 +74,8 @@ def perform(
     background: str | Sequence[float] = "white",
     rasterizer: str | Rasterizer = AUTO, rasterizer_options: Mapping[str, Any] | None = None,
     tier: str | None = None, min_psnr: float | None = None, target_fps: float | None = None,
-    budget_ms: float | None = None, uv: int | Literal["auto"] | None = None, seen_only: bool = False, reuse: int = 1,
-    threads: int | None = None,
+    budget_ms: float | None = None, gaussians: int | Literal["auto"] | None = None, seen_only: bool = False,
+    reuse: int = 1, threads: int | None = None, uv: int | Literal["auto"] | None = None,
     progress: Progress | None = None, tell: Callable[[str], None] | None = None,
 ) -> PlayReport:  # fmt: skip
     """Play an avatar through a motion into a file.
@@ -89,18 +88,21 @@ def perform(
     tell, and options of its own (`open_output`).
     fps, seconds, frames, ground: which part of the motion (`Clip`). size, width, height, camera, orbit, background,
     rasterizer, rasterizer_options: how the person is looked at and drawn (`Shot`). tier, min_psnr, target_fps,
-    budget_ms, uv, seen_only, reuse, threads: how they are decoded (`Level`); where none of these chooses a tier, fps
-    does.
+    budget_ms, gaussians, seen_only, reuse, threads, uv: how they are decoded (`Level`); where none of these chooses a
+    tier, fps does.
     progress: called as `progress(done, total)` after each frame. tell: called with each note when it comes up.
     Raises UserError for whatever the caller can mend; no file is left behind then.
     """
     start = perf_counter()
     clip = Clip(fps, seconds, frames, ground)
     view = Shot(size, width, height, camera, orbit, background, rasterizer, rasterizer_options)
-    level = Level(tier, min_psnr, target_fps, budget_ms, uv, seen_only, reuse, threads)
+    level = Level(tier, min_psnr, target_fps, budget_ms, gaussians, seen_only, reuse, threads, uv)
     notes = _Notes(tell)
     read = _all_read(motion, notes)
     source = read_bundle(avatar) if isinstance(avatar, (str, os.PathLike)) else avatar
+    if isinstance(source, Bundle):
+        level, note = level.in_gaussians(source)
+        notes.add(note)
     motion, lacking = _joined(source, read, blend)
     company = [_arriving(companion, blend, notes) for companion in beside]
     span = abreast(clip, [motion, *(its for _, its in company)]) if company else clip
@@ -158,8 +160,8 @@ def _entered(
 ) -> tuple[PlayedAvatar, Motion]:  # fmt: skip
     """A companion as it plays, and its motion at its place."""
     motion = span.of(motion)
-    if level.budget_ms or level.uv == AUTO:
-        option = "`budget_ms`" if level.budget_ms else f"`uv={AUTO}`"
+    if level.budget_ms or level.gaussians == AUTO:
+        option = "`budget_ms`" if level.budget_ms else f"`gaussians={AUTO}`"
         raise WrongValue(f"{option} goes by what one avatar needs: leave it out where several are in the picture")
     if companion.tier:
         level = dataclasses.replace(level, tier=companion.tier, min_psnr=None, target_fps=None)
@@ -244,7 +246,6 @@ def _report(
         fps=motion.fps,
         gaussians=sum(len(one) for one, _ in cast),
         tier=avatar.tier,
-        uv=avatar.uv,
         rasterizer=ready.rasterizer,
         threads=threads,
         ignored_joints=ignored,
@@ -301,8 +302,8 @@ def _is_drawn(out: str | os.PathLike, output: str | None, view: Shot, level: Lev
 
 def _check_undrawn(out: str | os.PathLike, view: Shot, level: Level, notes: _Notes) -> None:
     """Note what an output of Gaussians makes no use of; UserError for what would decode for a camera."""
-    if level.seen_only or level.uv == AUTO:
-        option = "`seen_only`" if level.seen_only else f"`uv={AUTO}`"
+    if level.seen_only or level.gaussians == AUTO:
+        option = "`seen_only`" if level.seen_only else f"`gaussians={AUTO}`"
         raise WrongValue(f"{option} goes by what a camera sees, and {out} takes all Gaussians: leave it out")
     unused = list(dict.fromkeys(name.removesuffix("_options") for name in differing(view)))
     if unused:

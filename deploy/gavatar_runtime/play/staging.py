@@ -16,7 +16,7 @@ from ..avatar.adaptive import AdaptiveAvatar
 from ..avatar.played import PlayedAvatar
 from ..avatar.playing import Avatar
 from ..bundle import Bundle
-from ..decoding.detail import WORTH, uv_for_size
+from ..decoding.detail import WORTH, count_for_side, count_for_size
 from ..errors import WrongValue, did_you_mean
 from ..formats.camera_file import read_camera
 from ..render.rasterizers import Rasterizer
@@ -153,9 +153,10 @@ class Level:
     """How closely and how fast the avatar is decoded.
 
     tier: how, of those that the bundle holds; min_psnr, target_fps: choose one (`choose_tier`). budget_ms: keep frames
-    within so many milliseconds by the level of detail and the reuse of decodes. uv: level of detail, the side of the
-    atlas, `auto` for what the person's size in the images is worth, None for all Gaussians. seen_only: decode only what
-    the camera can see. reuse: decode every so many frames only. threads: None for one a core.
+    within so many milliseconds by the level of detail and the reuse of decodes. gaussians: at most so many, each the
+    larger, `auto` for as many as the person's size in the images is worth, None for all. seen_only: decode only what
+    the camera can see. reuse: decode every so many frames only. threads: None for one a core. uv: `gaussians`, as the
+    side of an atlas with so many texels on the body (`in_gaussians`).
     Raises UserError for numbers out of range and for what excludes each other.
     """
 
@@ -163,20 +164,35 @@ class Level:
     min_psnr: float | None = None
     target_fps: float | None = None
     budget_ms: float | None = None
-    uv: int | Literal["auto"] | None = None
+    gaussians: int | Literal["auto"] | None = None
     seen_only: bool = False
     reuse: int = 1
     threads: int | None = None
+    uv: int | Literal["auto"] | None = None
 
     def __post_init__(self) -> None:
         _check_positive(min_psnr=self.min_psnr, target_fps=self.target_fps, budget_ms=self.budget_ms)
         _check_counts(None, reuse=self.reuse, threads=self.threads)
-        if self.uv != AUTO:
-            _check_counts(None, uv=cast("int | None", self.uv))
-        if self.budget_ms and (self.uv or self.reuse > 1 or self.seen_only):
+        for name, value in (("gaussians", self.gaussians), ("uv", self.uv)):
+            if value != AUTO:
+                _check_counts(None, **{name: cast("int | None", value)})
+        if self.gaussians is not None and self.uv is not None:
+            raise WrongValue("`gaussians` and `uv` both choose the level of detail: give one of them")
+        if self.budget_ms and (self.gaussians or self.uv or self.reuse > 1 or self.seen_only):
             raise WrongValue(
-                "`budget_ms` chooses the level of detail and the reuse: leave `uv`, `reuse` and `seen_only` out"
+                "`budget_ms` chooses the level of detail and the reuse: leave `gaussians`, `uv`, `reuse` and "
+                "`seen_only` out"
             )
+
+    def in_gaussians(self, bundle: Bundle) -> tuple[Level, str]:
+        """The level with `gaussians` where it has `uv`, and a sentence that says how many these are, '' where it is as
+        it was."""
+        if self.uv is None:
+            return self, ""
+        if isinstance(self.uv, str):
+            return dataclasses.replace(self, gaussians=AUTO, uv=None), ""
+        count, note = gaussians_of_side(bundle, self.uv)
+        return dataclasses.replace(self, gaussians=count, uv=None), note
 
     def open(self, bundle: Bundle, clip: Clip, view: Shot, motion: Motion) -> Avatar | AdaptiveAvatar:
         """The avatar at this level, for a motion that is played as clip and view say.
@@ -193,8 +209,11 @@ class Level:
         )
         if self.budget_ms:
             return AdaptiveAvatar(bundle, self.budget_ms / 1000, tier=tier, threads=self.threads)
-        uv = _uv_on_screen(bundle, clip, view, motion) if isinstance(self.uv, str) else self.uv
-        avatar = Avatar(bundle, tier=tier, uv=uv, reuse=self.reuse, seen_only=self.seen_only, threads=self.threads)
+        count = self.in_gaussians(bundle)[0].gaussians
+        count = _count_on_screen(bundle, clip, view, motion) if isinstance(count, str) else count
+        avatar = Avatar(
+            bundle, tier=tier, gaussians=count, reuse=self.reuse, seen_only=self.seen_only, threads=self.threads
+        )
         if self.seen_only and not avatar.seen_only:
             raise WrongValue(f"`seen_only`: {_why_not_seen_only(avatar, self.reuse)}")
         return avatar
@@ -223,12 +242,18 @@ def color_from(color: str | Sequence[float]) -> tuple[float, float, float]:
     return values[0], values[1], values[2]
 
 
-def _uv_on_screen(bundle: Bundle, clip: Clip, view: Shot, motion: Motion) -> int | None:
-    """The level of detail that the person's largest size in the images is worth."""
+def gaussians_of_side(bundle: Bundle, uv: int) -> tuple[int, str]:
+    """How many Gaussians of a bundle a side of the atlas stands for, and a sentence that says so."""
+    count = count_for_side(*bundle.surfaces(), uv)
+    return count, f"`uv={uv}` is the former way to say `gaussians={count}`"
+
+
+def _count_on_screen(bundle: Bundle, clip: Clip, view: Shot, motion: Motion) -> int | None:
+    """As many Gaussians as the person's largest size in the images is worth."""
     body = Avatar(bundle, tier=None)
     motion, _ = clip.fitted(body, motion)
-    uv = uv_for_size(body.surface, size_on_screen(body, motion, view.cameras(body, motion)))
-    return uv if uv < WORTH * body.surface.resolution else None
+    count = count_for_size(body.surface, size_on_screen(body, motion, view.cameras(body, motion)))
+    return count if count < WORTH * len(body) else None
 
 
 def _why_not_seen_only(avatar: Avatar, reuse: int) -> str:

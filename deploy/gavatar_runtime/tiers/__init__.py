@@ -20,7 +20,7 @@ from ..decoding.residuals import Attributes
 from ..errors import UserError, WrongValue
 from ..plugins import load_entry_points
 from ..values.array_rules import ADVICE
-from ..values.surface import Atlas
+from ..values.surface import Atlas, Surface
 from .members import OUTPUTS, ArrayMember
 
 
@@ -28,10 +28,10 @@ from .members import OUTPUTS, ArrayMember
 class Parts:
     """What a tier is made from. surface: of all Gaussians that the bundle holds. map_surface: of the positional map,
     None if static. threads: that decode, None for one a core. chosen: which N of the Gaussians are wanted, None for
-    all. added: the variance, square metres, that each of those gains (`detail.thinned`)."""
+    all. added: the variance, square metres, that each of those gains (`detail.first`)."""
 
     bundle: Bundle
-    surface: Atlas
+    surface: Surface
     map_surface: Atlas | None
     threads: int | None = None
     chosen: np.ndarray | None = None

@@ -256,6 +256,7 @@ def _hello(scene: ViewedAvatar) -> dict[str, Any]:
     bundle = scene.bundle
     return {
         "name": bundle.manifest.name, "path": str(bundle.path), "gaussians": bundle.manifest.gaussians,
+        "first": scene.gaussians,
         "tiers": scene.tiers, "tier": scene.tier, "motions": scene.motion_names, "most": MOST,
         "drive": None if scene.drive is None else scene.drive.told(),
     }  # fmt: skip

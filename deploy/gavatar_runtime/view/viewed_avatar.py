@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import collections
-import contextlib
 import dataclasses
 import math
 import tempfile
@@ -17,7 +16,6 @@ import numpy as np
 
 from ..avatar.playing import Avatar
 from ..bundle import Bundle
-from ..decoding.detail import MIN_UV, uv_for_count
 from ..errors import UserError, WrongValue, did_you_mean
 from ..motions import MOTIONS, built_in_motions, read_motion
 from ..play.framing import body_points, facing
@@ -71,18 +69,22 @@ class ViewedAvatar:
     """An avatar and motions, drawn for one page at a time.
 
     bundle: of the avatar. motions: names of built-in ones and files. tier: that pages begin with, None for the first
-    that the bundle holds. threads: that decode and draw. Its methods may be called from any thread; one draws while
-    others wait.
+    that the bundle holds. gaussians: at most so many at first, None for all. threads: that decode and draw. Its methods
+    may be called from any thread; one draws while others wait.
     """
 
     def __init__(
         self, bundle: Bundle, motions: Sequence[str | Path | Motion] = (), *, tier: str | None = None,
-        threads: int | None = None,
+        gaussians: int | None = None, threads: int | None = None,
     ):  # fmt: skip
         self.bundle, self.threads = bundle, threads
         self.body = Avatar(bundle, tier=None)
         self.tiers = stored_tiers(bundle)
         self.tier = self._known(tier or self.tiers[0])
+        every = bundle.manifest.gaussians
+        if gaussians is not None and gaussians < 1:
+            raise WrongValue(f"`gaussians={gaussians}`: give a whole number from 1 up")
+        self.gaussians = every if gaussians is None else min(gaussians, every)
         self.drive: Drive | None = None  # what a camera does with it
         self.lock = threading.RLock()
         self._motions: dict[str, Motion] = {}
@@ -168,10 +170,10 @@ class ViewedAvatar:
 
     def _renderer(self, tier: str, gaussians: int | None) -> Renderer:
         every = self.bundle.manifest.gaussians
-        uv = None if gaussians is None or gaussians >= every else self._level(gaussians)
-        key = self._known(tier), uv
+        count = None if gaussians is None or gaussians >= every else level_of_slider(gaussians, every)
+        key = self._known(tier), count
         if key not in self._open:
-            avatar = Avatar(self.bundle, tier=tier, uv=uv, threads=self.threads)
+            avatar = Avatar(self.bundle, tier=tier, gaussians=count, threads=self.threads)
             self._open[key] = Renderer(avatar, threads=self.threads)
             while len(self._open) > KEPT:
                 self._open.popitem(last=False)
@@ -183,17 +185,14 @@ class ViewedAvatar:
             raise WrongValue(f"`tier={tier}`: the bundle has none so called; {did_you_mean(tier, self.tiers)}")
         return tier
 
-    def _level(self, gaussians: int) -> int | None:
-        """The side of the atlas that keeps at most so many, the coarsest there is where even that keeps more; in steps
-        of a sixteenth, so that dragging a slider does not open a hundred avatars."""
-        surface = self.body.surface
-        whole = surface.resolution
-        if whole <= MIN_UV:
-            return None
-        step = max(1, whole // 16)
-        with contextlib.suppress(WrongValue):
-            return max(MIN_UV, uv_for_count(surface, gaussians) // step * step)
-        return MIN_UV
+
+def level_of_slider(gaussians: int, every: int) -> int:
+    """A level of detail of at most so many of all Gaussians, in steps of a sixteenth and below that in halves, so that
+    dragging a slider does not open a hundred avatars."""
+    step = every / 16
+    while gaussians < step and step > 1:
+        step /= 2
+    return max(1, int(gaussians // step * step))
 
 
 def _text(message: Mapping[str, Any], name: str) -> str:

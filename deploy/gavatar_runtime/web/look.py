@@ -9,10 +9,9 @@ import numpy as np
 
 from ..avatar.playing import Avatar
 from ..avatar.pose_blendshapes import MEMBER as POSE_BLENDSHAPES
-from ..decoding.detail import SPREAD, grown, point_spacing
+from ..decoding.detail import added_variance, grown
 from ..errors import WrongValue
 from ..geometry.kinematics import invert_rigid
-from ..geometry.ordering import progressive_order
 from ..motions.builtin import relaxed_pose
 from ..tiers import LinearTier, Parts, build_tier, player_tiers, stored_tiers
 from ..values.motion import Motion
@@ -23,6 +22,7 @@ class StillLook:
     """N Gaussians of an avatar in its canonical pose, and what a pose does to them.
 
     tier: the one it was taken from. points: (N, 3) metres. colors: (N, 3) in [0, 1]. scales, spacing: (N,) metres.
+    rank: (N,) places in the progressive order.
     joint_index, joint_weight: (N, K). parents: (J,). rest: (J, 3) metres. inverse: (J, 3, 4), canonical to rest.
     relaxed: (J, 3) axis-angle of standing at ease. residual: the arrays of blendshape.npz, None for one look for all
     poses. pixel: metres that a training pixel spanned, or None. notes: what the page leaves out, a sentence each.
@@ -34,6 +34,7 @@ class StillLook:
     colors: np.ndarray
     scales: np.ndarray
     spacing: np.ndarray
+    rank: np.ndarray
     joint_index: np.ndarray
     joint_weight: np.ndarray
     joint_names: tuple[str, ...]
@@ -55,14 +56,14 @@ class StillLook:
             raise WrongValue(f"`gaussians={count}`: give a whole number from 1 up")
         if count >= len(self):
             return self
-        rows = np.sort(progressive_order(self.points)[:count])
-        added = np.square(SPREAD * self.spacing[rows]) * (len(self) / count - 1)
+        rows = np.flatnonzero(self.rank < count)
+        added = added_variance(self.spacing[rows], len(self) / count)
         residual = self.residual
         if residual is not None:
             residual = {**residual, **{name: residual[name][rows] for name in ("part", "basis")}}
         return dataclasses.replace(
             self, points=self.points[rows], colors=self.colors[rows], scales=grown(self.scales[rows], added),
-            spacing=self.spacing[rows] * np.sqrt(len(self) / count).astype(np.float32),
+            spacing=self.spacing[rows] * np.sqrt(len(self) / count).astype(np.float32), rank=self.rank[rows],
             joint_index=self.joint_index[rows], joint_weight=self.joint_weight[rows], residual=residual,
         )  # fmt: skip
 
@@ -91,7 +92,7 @@ def read_look(avatar: Avatar, tier: str | None = None, player: str = "page") -> 
     still, residual = cast(LinearTier, built).linear() if linear else (built(pose), None)
     points, colors, scales = (np.array(array) for array in still)
     return StillLook(
-        avatar.name, tier or played[0], points, colors, scales, point_spacing(surface).astype(np.float32),
+        avatar.name, tier or played[0], points, colors, scales, surface.spacing, surface.rank,
         surface.joint_index, surface.joint_weight, avatar.joint_names, surface.parents, surface.joints,
         invert_rigid(surface.A_canonical)[:, :3], pose, avatar.pixel, None if residual is None else dict(residual),
         _left_out(avatar, player),

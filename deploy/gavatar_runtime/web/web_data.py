@@ -3,7 +3,7 @@
 `avatar.bin` is MAGIC, the header's length (uint32, little endian), the header (JSON) and the blocks one after another.
 The header's `blocks` has the size of each; whatever lies in a block is listed beside its number as a `layout`: name,
 kind (`f4`, `u1`, `i1`, `u2`, `i4`: little endian), shape and offset. Gaussians come in chunks whose texels fill whole
-rows of a texture WIDTH wide, in `geometry.ordering.progressive_order`: each chunk makes the whole avatar denser.
+rows of a texture WIDTH wide, in their progressive order (`Surface.rank`): each chunk makes the whole avatar denser.
 
 Positions and scales are 16-bit numbers between the bounds in the header, colours, skinning weights and spacings 8-bit.
 """
@@ -20,7 +20,6 @@ import numpy as np
 
 from .. import splatting_rule as rule
 from ..decoding.detail import SPREAD
-from ..geometry.ordering import progressive_order
 from ..tiers.members import BLENDSHAPE
 from ..values.motion import Motion
 from .look import StillLook
@@ -135,7 +134,7 @@ class _Points:
 
     @classmethod
     def of(cls, look: StillLook, head: dict[str, Any] | None) -> _Points:
-        order = progressive_order(look.points)
+        order = np.argsort(look.rank)
         low, high = look.points.min(0).astype(np.float64), look.points.max(0).astype(np.float64)
         least, most = float(look.scales.min()), float(look.scales.max())
         widest = max(float(look.spacing.max()), 1e-9)

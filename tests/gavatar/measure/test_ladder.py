@@ -18,9 +18,9 @@ from gavatar_runtime.values.motion import Motion
 
 
 def test_every_rung_of_the_ladder_opens_and_is_named_once(fine_bundle):
-    choices = default_choices(fine_bundle, auto_uv=70)
+    choices = default_choices(fine_bundle, enough=3000)
     assert len({c.label for c in choices}) == len(choices)
-    assert {"baked, backface 0.3", "full, seen only", "blendshape, uv 70", "baked, resolution 0.5"} <= {
+    assert {"baked, backface 0.3", "full, seen only", "blendshape, 3000 Gaussians", "baked, resolution 0.5"} <= {
         c.label for c in choices
     }
     for choice in choices:

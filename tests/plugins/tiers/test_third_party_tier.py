@@ -36,8 +36,8 @@ def test_a_tier_of_another_distribution_is_written_measured_and_played(grey, tie
     assert described["grey"]["psnr_capture"] < described["full"]["psnr_capture"] == 100.0
     bundle = read_bundle(tmp_path / "a.gavatar", verify=True)
     assert stored_tiers(bundle) == ["full", "grey"]
-    for uv in (None, 64):
-        gaussians = Avatar(bundle, tier="grey", uv=uv).gaussians(np.zeros((52, 3), np.float32))
+    for count in (None, 500):
+        gaussians = Avatar(bundle, tier="grey", gaussians=count).gaussians(np.zeros((52, 3), np.float32))
         assert len(np.unique(gaussians.colors)) == 1
         assert gaussians.scales.min() >= 0.01
 

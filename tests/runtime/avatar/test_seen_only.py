@@ -15,9 +15,10 @@ from gavatar_runtime.values.motion import Motion
 
 
 @pytest.mark.parametrize("tier", ["full", "int8"])
-@pytest.mark.parametrize("uv", [None, 64])
-def test_decoding_what_is_seen_changes_nothing_of_what_is_decoded(fine_bundle, tier, uv):
-    whole, seen = Avatar(fine_bundle, tier=tier, uv=uv), Avatar(fine_bundle, tier=tier, uv=uv, seen_only=True)
+@pytest.mark.parametrize("count", [None, 4000])
+def test_decoding_what_is_seen_changes_nothing_of_what_is_decoded(fine_bundle, tier, count):
+    level = {"tier": tier, "gaussians": count}
+    whole, seen = Avatar(fine_bundle, **level), Avatar(fine_bundle, **level, seen_only=True)
     assert seen.seen_only
     pose = np.random.default_rng(0).normal(0, 0.2, (52, 3)).astype(np.float32)
     motion = Motion(pose[None], np.zeros((1, 3), np.float32), 30.0)
@@ -63,11 +64,12 @@ def test_the_player_takes_detail_and_seen_only_or_says_why_not(fine_bundle, tmp_
             main([str(fine_bundle.path), *arguments])
         return done.value.code, json.loads(report.read_text()) if report.exists() else {}, capsys.readouterr().err
 
-    code, report, _ = run("--uv", "auto", "--tier", "baked")
+    code, report, _ = run("--gaussians", "auto", "--tier", "baked")
     assert code == 0
-    assert report["uv"] < fine_bundle.surfaces()[0].resolution
     assert report["gaussians"] < fine_bundle.manifest.gaussians
-    assert run("--detail", "64", "--tier", "full", "--seen-only")[0] == 0
+    code, report, error = run("--detail", "64", "--tier", "full", "--seen-only")
+    assert code == 0
+    assert f"note: --uv 64 is the former way to say --gaussians {report['gaussians']}" in error
     code, _, error = run("--tier", "baked", "--seen-only")
     assert code == 2
     assert "tier baked has nothing to leave out" in error

@@ -116,7 +116,7 @@ def test_what_no_pixel_shows_is_left_out_and_what_one_shows_never(distance):
 
 
 @pytest.mark.skipif(not native_library.available()[0], reason=native_library.available()[1])
-@pytest.mark.parametrize("options", [{}, {"reuse": 3}, {"uv": 64}])
+@pytest.mark.parametrize("options", [{}, {"reuse": 3}, {"gaussians": 5000}])
 def test_playing_makes_no_array_of_the_size_of_the_avatar_in_any_frame(tmp_path, options):
     count = 20000
     avatar = Avatar(make_bundle(tmp_path / "a.gavatar", count, dynamic=True), **options)

@@ -115,9 +115,12 @@ def test_joints_that_the_body_lacks_are_reported(played, tmp_path, capsys):
         (["--fps", "nan"], "--fps nan: give a positive number"),
         (["--fps", "fast"], "--fps: invalid float value"),
         (["--threads", "-2"], "--threads -2: give a whole number from 1 up"),
-        (["--uv", "3"], "--uv 3: this avatar has detail from"),
+        (["--gaussians", "0"], "--gaussians 0: give a whole number from 1 up"),
         (["--uv", "big"], "--uv/--detail: invalid detail value"),
-        (["--budget-ms", "5", "--reuse", "2"], "--budget-ms chooses .* leave --uv, --reuse and --seen-only out"),
+        (
+            ["--budget-ms", "5", "--reuse", "2"],
+            "--budget-ms chooses .* leave --gaussians, --uv, --reuse and --seen",
+        ),
         (["--seen-only"], "--seen-only: tier full has nothing to leave out"),
         (["--tier", "full", "--min-psnr", "3"], "--tier names a tier, and --min-psnr and --target-fps choose one"),
         (["--orbit", "0"], "--orbit 0: give a positive number"),
@@ -132,7 +135,7 @@ def test_joints_that_the_body_lacks_are_reported(played, tmp_path, capsys):
         (["--output", "vidio"], "unknown output 'vidio'.*did you mean 'video'"),
         (["--out", "a.png", "--output", "ply"], r"output 'ply' cannot write 'a\.png'"),
         (["--out", "a.ply", "--seen-only"], r"--seen-only goes by what a camera sees, and a\.ply takes all Gaussians"),
-        (["--out", "a.ply", "--uv", "auto"], "--uv auto goes by what a camera sees"),
+        (["--out", "a.ply", "--gaussians", "auto"], "--gaussians auto goes by what a camera sees"),
     ],
 )
 def test_a_users_mistake_is_exit_code_2_and_one_sentence(static, tmp_path, monkeypatch, capsys, arguments, message):

@@ -46,7 +46,7 @@ def test_the_report_says_what_was_played(dynamic, tmp_path):
     report = perform(dynamic, still(4, fps=12), tmp_path / "a.mp4", width=20, height=30, threads=1, rasterizer="dots")
     assert len(frames_of(tmp_path / "a.mp4")) == report.frames == len(report.timings) == 4
     assert (report.width, report.height, report.fps, report.gaussians) == (20, 30, 12, 300)
-    assert (report.rasterizer, report.threads, report.uv) == ("Dots", 1, Avatar(dynamic).uv)
+    assert (report.rasterizer, report.threads, report.gaussians) == ("Dots", 1, len(Avatar(dynamic)))
     assert (report.budget_ms, report.levels, report.notes, report.ignored_joints) == (None, (), (), ())
     assert 0 < report.ready_seconds < np.inf
 
@@ -147,7 +147,7 @@ def test_a_slow_rasterizer_is_noted_where_it_was_not_chosen(static, tmp_path, mo
         ({"frames": slice(9, None)}, "`frames` leaves no frame"),
         ({"camera": "behind"}, "unknown camera 'behind'"),
         ({"tier": "full", "min_psnr": 30}, "`tier` names a tier"),
-        ({"uv": 3}, "`uv=3`: this avatar has detail from"),
+        ({"gaussians": 0}, "`gaussians=0`: give a whole number from 1 up"),
     ],
 )
 def test_a_mistake_is_a_value_error_that_names_the_keyword_and_writes_nothing(static, tmp_path, given, message):
@@ -157,7 +157,7 @@ def test_a_mistake_is_a_value_error_that_names_the_keyword_and_writes_nothing(st
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("given", [{"seen_only": True}, {"uv": "auto"}])
+@pytest.mark.parametrize("given", [{"seen_only": True}, {"gaussians": "auto"}])
 def test_an_output_of_gaussians_decodes_for_no_camera(static, tmp_path, given):
     with pytest.raises(WrongValue, match=r"goes by what a camera sees, and .*a\.ply takes all Gaussians"):
         perform(static, still(1), tmp_path / "a.ply", **given)

@@ -13,7 +13,7 @@ from places import DEMO
 from gavatar_runtime.avatar.adaptive import AdaptiveAvatar
 from gavatar_runtime.avatar.playing import Avatar
 from gavatar_runtime.bundle import read_bundle, write_bundle
-from gavatar_runtime.decoding.detail import uv_for_size
+from gavatar_runtime.decoding.detail import count_for_size
 from gavatar_runtime.errors import UserError, WrongValue
 from gavatar_runtime.formats.camera_file import read_camera
 from gavatar_runtime.play.framing import frame_motion, size_on_screen
@@ -145,11 +145,19 @@ def test_a_background_can_be_named(text, color):
 
 def test_the_level_of_detail_goes_by_the_size_in_the_images(fine):
     motion, view = still(2), Shot(size=96)
-    avatar = Level(uv="auto").open(fine, Clip(), view, motion)
+    avatar = Level(gaussians="auto").open(fine, Clip(), view, motion)
     body = Avatar(fine, tier=None)
-    assert avatar.uv == uv_for_size(body.surface, size_on_screen(body, motion, view.cameras(body, motion))) < 160
+    assert len(avatar) == count_for_size(body.surface, size_on_screen(body, motion, view.cameras(body, motion)))
     assert len(avatar) < len(body)
-    assert Level(uv="auto").open(fine, Clip(), Shot(size=4096), motion).uv == 160  # large: all there are
+    assert len(Level(gaussians="auto").open(fine, Clip(), Shot(size=4096), motion)) == len(body)  # large: all there are
+
+
+def test_a_side_of_the_atlas_is_told_in_gaussians(fine):
+    level, note = Level(uv=64).in_gaussians(fine)
+    assert note == f"`uv=64` is the former way to say `gaussians={level.gaussians}`"
+    assert len(Level(uv=64).open(fine, Clip(), Shot(size=96), still(2))) == level.gaussians
+    assert Level(uv="auto").in_gaussians(fine) == (Level(gaussians="auto"), "")
+    assert Level(gaussians=7).in_gaussians(fine) == (Level(gaussians=7), "")
 
 
 def test_a_budget_opens_an_avatar_that_adapts(static):
@@ -197,13 +205,15 @@ def test_the_rate_of_the_clip_chooses_a_tier_unless_decodes_are_reused(tmp_path)
         (Level, {"target_fps": 0}, "`target_fps=0`"),
         (Level, {"budget_ms": float("nan")}, "`budget_ms=nan`"),
         (Level, {"uv": 0}, "`uv=0`"),
+        (Level, {"gaussians": 0}, "`gaussians=0`"),
+        (Level, {"gaussians": 5, "uv": 64}, "`gaussians` and `uv` both"),
         (Level, {"uv": "big"}, "`uv=big`: give a whole number from 1 up"),
         (Level, {"reuse": 2.0}, r"`reuse=2\.0`: give a whole number from 1 up"),
         (Clip, {"fps": "30"}, "`fps=30`: give a positive number"),
         (Level, {"reuse": 0}, "`reuse=0`"),
         (Level, {"threads": -2}, "`threads=-2`"),
-        (Level, {"budget_ms": 5, "uv": 64}, "leave `uv`, `reuse` and `seen_only` out"),
-        (Level, {"budget_ms": 5, "reuse": 2}, "leave `uv`, `reuse` and `seen_only` out"),
+        (Level, {"budget_ms": 5, "uv": 64}, "leave `gaussians`, `uv`, `reuse` and `seen_only` out"),
+        (Level, {"budget_ms": 5, "reuse": 2}, "leave `gaussians`, `uv`, `reuse` and `seen_only` out"),
     ],
 )
 def test_a_wrong_value_is_refused_at_once_by_its_keyword(kind, given, message):
