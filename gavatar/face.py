@@ -19,15 +19,17 @@ import tempfile
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 
 from gavatar_runtime.bundle import Manifest
 from gavatar_runtime.conversions import CONVERSIONS, convert
+from gavatar_runtime.decoding.detail import count_for_footage
 from gavatar_runtime.errors import UserError, WrongValue
 from gavatar_runtime.motions import read_motion
 from gavatar_runtime.notes import Note
+from gavatar_runtime.play.defaults import AUTO
 from gavatar_runtime.tiers import PLAYER_TIERS
 from gavatar_runtime.values.motion import Motion
 
@@ -161,38 +163,56 @@ class TrainedRun:
         out: PathLike | None = None,
         *,
         tiers: str | Sequence[str] = (),
-        uv: int | None = None,
+        gaussians: int | Literal["auto"] | None = None,
         drop_unseen: bool = False,
         poses: int = 8,
         progress: bool = False,
+        uv: int | None = None,
         motions: Sequence[str | Path | Motion] | None = None,
     ) -> ExportedAvatar:
         """Write the avatar as a bundle that plays without PyTorch.
 
         out: NAME.gavatar, by default of the capture's name in the run's folder; or NAME.html and what else
         `avatar.convert` writes to a file, from a bundle that is not kept. tiers: cheaper ways to decode it, names
-        or "auto" for those that pay on this machine. uv: side of the atlas whose texels are the Gaussians, default as
-        trained. drop_unseen: leave out Gaussians that no training view sees nor any neighbour within 2 cm. poses: of
-        the capture that it is verified on. motions: of what is no bundle, built-in ones and files, the first plays at
-        the start; as `avatar.convert` chooses them if None.
+        or "auto" for those that pay on this machine. gaussians: how many, "auto" for as many as the footage's pixels
+        are worth and no more than were trained, None for these. drop_unseen: leave out Gaussians that no training view
+        sees nor any neighbour within 2 cm. poses: of the capture that it is verified on. motions: of what is no bundle,
+        built-in ones and files, the first plays at the start; as `avatar.convert` chooses them if None. uv: the former
+        way to say `gaussians`, as the side of an atlas with so many texels on the body.
 
         Raises UserError, and writes nothing, unless positions agree with PyTorch within 0.1 mm and colours within
         1/255.
         """
         path = Path(out) if out is not None else self.directory / f"{self.capture.name}.gavatar"
+        count = self._count(gaussians, uv)
         if path.suffix != ".gavatar":
-            how = {"uv": uv, "drop_unseen": drop_unseen, "poses": poses, "progress": progress}
+            how = {"gaussians": count, "drop_unseen": drop_unseen, "poses": poses, "progress": progress}
             return self._exported_elsewhere(path, tiers, motions, **how)
         if motions is not None:
             raise WrongValue("`motions` is of web pages: a bundle holds none, whoever plays it chooses them")
         if poses < 1:
             raise WrongValue(f"`poses={poses}`: give at least 1, an export that is not verified is not written")
         names = [name.strip() for name in tiers.split(",") if name.strip()] if isinstance(tiers, str) else list(tiers)
+        how = {"gaussians": count, "drop_unseen": drop_unseen, "progress": progress}
         if names == ["auto"]:
-            manifest = export_front(self.opened, path, poses, uv=uv, drop_unseen=drop_unseen, progress=progress)
+            manifest = export_front(self.opened, path, poses, **how)
         else:
-            manifest = export(self.opened, path, poses, tiers=names, uv=uv, drop_unseen=drop_unseen, progress=progress)
+            manifest = export(self.opened, path, poses, tiers=names, **how)
         return ExportedAvatar(path, manifest)
+
+    def _count(self, gaussians: int | str | None, uv: int | None) -> int | None:
+        """How many Gaussians `export` is asked for, None for those that were trained."""
+        if gaussians is not None and uv is not None:
+            raise WrongValue("`gaussians` and `uv` both choose the level of detail: give one of them")
+        if uv is not None:
+            count = len(self.opened.built.atlas(uv))
+            warnings.warn(f"`uv={uv}` is the former way to say `gaussians={count}`", Note, stacklevel=3)
+            return count
+        if gaussians == AUTO:
+            return count_for_footage(self.opened.avatar.surface, self.opened.pixel)
+        if isinstance(gaussians, str) or (gaussians is not None and gaussians < 1):
+            raise WrongValue(f"`gaussians={gaussians}`: give a whole number from 1 up, or {AUTO}")
+        return gaussians
 
     def _exported_elsewhere(
         self, path: Path, tiers: str | Sequence[str], motions: Sequence[str | Path | Motion] | None, **how: Any

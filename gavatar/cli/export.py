@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from gavatar_runtime.cli.play_arguments import detail
 from gavatar_runtime.cli.settings import as_flags
 from gavatar_runtime.errors import exit_cleanly, options_spelled
 
@@ -17,7 +18,7 @@ EPILOG = """examples
   gavatar-export runs/anna -o anna.html --motions wave,dance.npz
   gavatar-export runs/anna --stage 1 -o anna_static.gavatar    without dynamics
   gavatar-export runs/anna --tiers auto        with the cheaper tiers that pay on this machine
-  gavatar-export runs/anna --tiers blendshape,baked --uv 512
+  gavatar-export runs/anna --tiers blendshape,baked --gaussians 100000
 
 The bundle is written only if, on real poses of the capture, positions agree with PyTorch within 0.1 mm and colours
 within 1/255. Play it with: gavatar-play anna.gavatar --motion wave
@@ -35,11 +36,12 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--stage", type=int, choices=(1, 2), help="avatar of this stage (default: the last trained)")
     parser.add_argument("--capture", metavar="DIR", help="where the capture is now, if it has moved")
     parser.add_argument(
-        "--uv",
-        type=int,
-        metavar="R",
-        help="side of the atlas whose texels are the Gaussians (default: as trained)",
+        "--gaussians",
+        type=detail,
+        metavar="N|auto",
+        help="how many Gaussians, or auto: as many as the footage's pixels are worth (default: as trained)",
     )
+    parser.add_argument("--uv", type=int, metavar="R", help="the former --gaussians, as an atlas's side")
     parser.add_argument(
         "--tiers",
         metavar="NAME,NAME",
@@ -71,7 +73,8 @@ def main(argv: list[str] | None = None) -> int:
     run = open_run(arguments.run, arguments.stage, arguments.capture)
     with options_spelled(as_flags(vars(arguments))):
         print(run.export(
-            arguments.out, tiers=arguments.tiers or "", uv=arguments.uv, drop_unseen=arguments.drop_unseen,
+            arguments.out, tiers=arguments.tiers or "", gaussians=arguments.gaussians, uv=arguments.uv,
+            drop_unseen=arguments.drop_unseen,
             poses=arguments.poses, progress=True,
             motions=None if arguments.motions is None else motions_named(arguments.motions),
         ))  # fmt: skip

@@ -57,15 +57,15 @@ def export(
     path: str | Path,
     poses: int = 8,
     *,
-    uv: int | None = None,
+    gaussians: int | None = None,
     tiers: Sequence[str] = (),
     drop_unseen: bool = False,
     progress: bool = False,
 ) -> Manifest:
     """Write the bundle of a run to `path` and return its manifest.
 
-    uv: side of the atlas whose texels are its Gaussians, None for the one it was trained at (scales in units of the
-    point spacing keep the surface closed). tiers: cheaper ways to decode it that are stored too, each with its measured
+    gaussians: how many, where its points are placed; None for those it was trained with (scales in units of the point
+    spacing keep the surface closed). tiers: cheaper ways to decode it that are stored too, each with its measured
     error and cost. drop_unseen: leave out Gaussians that no training view sees nor any of their neighbours
     (`unseen.seen`); the manifest's `training` says under `unseen` how many, and what that changed.
 
@@ -73,7 +73,9 @@ def export(
     only if positions agree within 0.1 mm and colours within 1/255, else UserError and nothing is left.
     """
     names = with_needs(tiers, run)
-    return _exported(run, Path(path), poses, names, uv=uv, drop_unseen=drop_unseen, progress=progress).write(Path(path))
+    return _exported(
+        run, Path(path), poses, names, gaussians=gaussians, drop_unseen=drop_unseen, progress=progress
+    ).write(Path(path))
 
 
 def export_front(
@@ -81,23 +83,23 @@ def export_front(
     path: str | Path,
     poses: int = 8,
     *,
-    uv: int | None = None,
+    gaussians: int | None = None,
     drop_unseen: bool = False,
     progress: bool = False,
 ) -> Manifest:
     """As `export`, with those tiers that no other stored tier beats in both speed and error, as measured here. A static
     avatar has none."""
     names = [] if run.avatar.encoder is None else with_needs(TIERS.names(), run)
-    bundled = _exported(run, Path(path), poses, names, uv=uv, drop_unseen=drop_unseen, progress=progress)
+    bundled = _exported(run, Path(path), poses, names, gaussians=gaussians, drop_unseen=drop_unseen, progress=progress)
     return (front(bundled) if names else bundled).write(Path(path))
 
 
 def _exported(
-    run: Run, path: Path, poses: int, tiers: list[str], *, uv: int | None, drop_unseen: bool, progress: bool
+    run: Run, path: Path, poses: int, tiers: list[str], *, gaussians: int | None, drop_unseen: bool, progress: bool
 ) -> Bundled:
     """Everything but the writing."""
     check_exportable(run)
-    sampled = sample(run, uv)
+    sampled = sample(run, gaussians)
     if drop_unseen:
         sampled = drop(sampled, progress)
     source = AvatarSource(sampled.run, metadata_of(manifest_of(sampled.run)), progress)
@@ -137,9 +139,9 @@ def with_needs(names: Sequence[str], run: Run) -> list[str]:
     return [TIERS.default, *wanted] if wanted else []
 
 
-def sample(run: Run, uv: int | None = None) -> Sampled:
-    """The run on as many points as an atlas of side `uv` has texels, by default on those it was trained with."""
-    return Sampled(run if uv is None else placed(run, run.built.surface(len(run.built.atlas(uv)))))
+def sample(run: Run, gaussians: int | None = None) -> Sampled:
+    """The run on so many points, by default on those it was trained with."""
+    return Sampled(run if gaussians is None else placed(run, run.built.surface(gaussians)))
 
 
 def drop(sampled: Sampled, progress: bool = False) -> Sampled:

@@ -17,6 +17,7 @@ from gavatar.config import check, compose_config
 from gavatar.training.trainer import resolved
 from gavatar_runtime.bundle import read_bundle
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.notes import Note
 
 STATIC = {
     "progress": False, "threads": 1, "encoder": "none", "losses": "demo", "preview_every": 100, "dynamics": "always",
@@ -184,5 +185,7 @@ def test_a_page_holds_the_motions_that_it_is_given(run, tmp_path):
 
 def test_an_export_at_another_resolution_changes_neither_the_run_nor_its_scores(run, tmp_path):
     before = run.evaluate(["train"], fit_steps=0, perceptual=False, progress=False).rows[0].psnr
-    assert run.export(tmp_path / "finer.gavatar", uv=96, poses=2).manifest.gaussians > run.gaussians
+    with pytest.warns(Note, match="`uv=96` is the former way to say `gaussians="):
+        assert run.export(tmp_path / "finer.gavatar", uv=96, poses=2).manifest.gaussians > run.gaussians
+    assert run.export(tmp_path / "fewer.gavatar", gaussians=700, poses=2).manifest.gaussians == 700
     assert run.evaluate(["train"], fit_steps=0, perceptual=False, progress=False).rows[0].psnr == before

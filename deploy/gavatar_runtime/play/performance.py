@@ -100,9 +100,7 @@ def perform(
     notes = _Notes(tell)
     read = _all_read(motion, notes)
     source = read_bundle(avatar) if isinstance(avatar, (str, os.PathLike)) else avatar
-    if isinstance(source, Bundle):
-        level, note = level.in_gaussians(source)
-        notes.add(note)
+    level = _in_gaussians(level, source, notes)
     motion, lacking = _joined(source, read, blend)
     company = [_arriving(companion, blend, notes) for companion in beside]
     span = abreast(clip, [motion, *(its for _, its in company)]) if company else clip
@@ -122,6 +120,14 @@ def perform(
     for note in ready.output.notes:
         notes.add(note)
     return _report(str(out), ready, cast, threads, ignored, tuple(notes.all), seconds_to_ready, timings)
+
+
+def _in_gaussians(level: Level, source: Bundle | PlayedAvatar, notes: _Notes) -> Level:
+    if not isinstance(source, Bundle):
+        return level
+    level, note = level.in_gaussians(source)
+    notes.add(note)
+    return level
 
 
 def _all_read(motion: str | Path | Motion | Sequence[str | Path | Motion] | None, notes: _Notes) -> list[Motion]:

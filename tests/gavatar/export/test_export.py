@@ -197,10 +197,11 @@ def test_an_export_leaves_the_run_as_it_was(runs, tmp_path):
     run = runs["mlp and unet"]
     surface, before = run.avatar.surface, {k: v.clone() for k, v in run.avatar.state_dict().items()}
     gaussians = posed(run, run.motion.motion(), 0)
-    manifest = export(run, tmp_path / "a.gavatar", uv=96, drop_unseen=True, tiers=["baked"])
+    manifest = export(
+        run, tmp_path / "a.gavatar", gaussians=len(run.built.atlas(96)), drop_unseen=True, tiers=["baked"]
+    )
     assert manifest.gaussians != len(surface)
     assert run.avatar.surface is surface
-    assert run.uv == 64
     assert all(torch.equal(v, before[k]) for k, v in run.avatar.state_dict().items())
     again = posed(run, run.motion.motion(), 0)
     assert torch.equal(again.means, gaussians.means)
