@@ -186,14 +186,14 @@ class TrainedRun:
         path = Path(out) if out is not None else self.directory / f"{self.capture.name}.gavatar"
         count = self._count(gaussians, uv)
         if path.suffix != ".gavatar":
-            how = {"gaussians": count, "drop_unseen": drop_unseen, "poses": poses, "progress": progress}
-            return self._exported_elsewhere(path, tiers, motions, **how)
+            more = {"gaussians": count, "drop_unseen": drop_unseen, "poses": poses, "progress": progress}
+            return self._exported_elsewhere(path, tiers, motions, **more)
         if motions is not None:
             raise WrongValue("`motions` is of web pages: a bundle holds none, whoever plays it chooses them")
         if poses < 1:
             raise WrongValue(f"`poses={poses}`: give at least 1, an export that is not verified is not written")
         names = [name.strip() for name in tiers.split(",") if name.strip()] if isinstance(tiers, str) else list(tiers)
-        how = {"gaussians": count, "drop_unseen": drop_unseen, "progress": progress}
+        how: dict[str, Any] = {"gaussians": count, "drop_unseen": drop_unseen, "progress": progress}
         if names == ["auto"]:
             manifest = export_front(self.opened, path, poses, **how)
         else:

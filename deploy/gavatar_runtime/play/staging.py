@@ -190,7 +190,7 @@ class Level:
         if self.uv is None:
             return self, ""
         if isinstance(self.uv, str):
-            return dataclasses.replace(self, gaussians=AUTO, uv=None), ""
+            return dataclasses.replace(self, gaussians="auto", uv=None), ""
         count, note = gaussians_of_side(bundle, self.uv)
         return dataclasses.replace(self, gaussians=count, uv=None), note
 
