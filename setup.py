@@ -117,7 +117,8 @@ def link_command(compiler: list[str], flags: list[str], machine: Machine, folder
         return [*compiler, "/nologo", "/LD", "/MD", f"/Fe:{output}"]
     command = [*compiler, "-shared", "-pthread", *(f for f in flags if "sanitize" in f), "-o", str(output)]
     if machine.system == "darwin":
-        return [*command, f"-Wl,-install_name,@rpath/_gavatar_native{machine.suffix}"]
+        # of a wheel no symbols, which would name the folders of the build
+        return [*command, f"-Wl,-install_name,@rpath/_gavatar_native{machine.suffix}", *(["-s"] if WHEEL else [])]
     command += [] if "-g" in flags else ["-s"]  # no symbols, a smaller file
     if machine.system == "win32":  # else it would want DLLs of its compiler
         return [*command, "-static"] if is_mingw(machine, compiler) else command
