@@ -69,6 +69,8 @@ class Trainer:
         state = load_tensors(path) if path.exists() else None
         if state is not None:
             self._restore(state)
+            if where := self._continuation(state["stage"], state["step"]):
+                warnings.warn(where, Note)
         if self.config.mask_matte == AUTO:
             Chooser(self.scene, self.record).masks()
         for plan in self.plans:
@@ -85,6 +87,16 @@ class Trainer:
         """A stage, ready to run."""
         plan = next(plan for plan in self.plans if plan.number == number)
         return Stage(plan, self.scene, self.losses, self.poses, self.record, self.config.progress)
+
+    def _continuation(self, number: int, step: int) -> str:
+        """Where a checkpoint lets the run go on, in a sentence; '' if nothing is left to do."""
+        left = {plan.number: plan.stage.steps for plan in self.plans if plan.number >= number}
+        if step >= left.get(number, 0):
+            left.pop(number, None)
+        if not any(left.values()):
+            return ""
+        where = f"step {step} of {left[number]} in stage {number}" if number in left else f"the end of stage {number}"
+        return f"{self.directory} goes on from its checkpoint, at {where}"
 
     def _restore(self, state: dict[str, Any]) -> None:
         """The avatar and all around it as a checkpoint has them."""

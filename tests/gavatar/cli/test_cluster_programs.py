@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -56,6 +57,12 @@ def training_of(run: str, program: subprocess.Popen) -> int:
     raise AssertionError("no training was seen")
 
 
+def check_continued(log: str) -> None:
+    """The job went on from the checkpoint that the killed process left, and made the rest of the steps only."""
+    (step,) = re.findall(r"runs/a goes on from its checkpoint, at step (\d+) of 12 in stage 1", log)
+    assert 2 <= int(step) < 12
+
+
 def check_table(place: Path) -> None:
     rows = json.loads((place / "runs/comparison.json").read_text())
     assert [row["run"] for row in rows] == ["a"] * 3 + ["b"] * 3
@@ -82,6 +89,7 @@ def test_a_job_killed_on_slurm_is_named_and_the_same_command_continues_it(place)
     assert again.returncode == 0, said
     check_table(place)
     assert json.loads((place / "runs/b/metrics.json").read_text()) == done  # what was finished was kept
+    check_continued("".join(path.read_text() for path in sorted((place / "runs/jobs").glob("*_0_log.err"))))
 
 
 @pytest.mark.slow
@@ -93,3 +101,4 @@ def test_a_job_killed_on_ray_is_begun_again_by_itself_and_continues(place):
     said = program.communicate(timeout=PATIENCE)[0]
     assert program.returncode == 0, said
     check_table(place)
+    check_continued((place / "runs/jobs/a.log").read_text())

@@ -51,8 +51,9 @@ def capture_of(directory: str | Path) -> Path:
     return Path(OmegaConf.load(Path(directory) / "config.yaml").capture)
 
 
-def test_the_same_command_again_continues_the_run(project):
+def test_the_same_command_again_continues_the_run(project, recwarn):
     run("captures/anna")
+    assert not [w for w in recwarn if "goes on from its checkpoint" in str(w.message)]  # nothing was left to do
     run("./captures/../captures/anna/")
     run(project / "captures" / "anna")
     assert capture_of("runs/me") == project / "captures" / "anna"
