@@ -11,7 +11,7 @@ import submitit
 
 
 class Avatar:
-    """Trains and scores one avatar. A job that SLURM takes off a node is put in the queue again, and continues."""
+    """Trains and scores one avatar. A job that is preempted is put in the queue again by submitit, and continues."""
 
     def __init__(self, capture, run, settings):
         self.train = [sys.executable, "-m", "gavatar.cli.train", f"capture={capture}", f"out={run}", *settings]
