@@ -44,7 +44,8 @@ class LossInputs:
 
     render: (B, 3, H, W) composited over the batch's background, [0, 1]. target: (B, 3, H, W) footage over the same
     background. alpha: (B, H, W) rendered. mask: (B, H, W) footage alpha in [0, 1].
-    features: (1, C, R, R) learnable feature tensor. pose_features: (B, C, R, R). offsets: (B or 1, N, 3) metres.
+    features: (1, C, R, R) learnable feature tensor. pose_features: (B, C, R, R). pose_detail: (B, M, 3) what of the
+    colours' change with the pose is finer than 5 cm on the body, at some of the points. offsets: (B or 1, N, 3) metres.
     scales: (B or 1, N) or (B or 1, N, 3) metres. motion: the pose table, absent when poses are fixed. progress: 0..1 of
     the stage.
     """
@@ -55,6 +56,7 @@ class LossInputs:
     mask: Tensor
     features: Tensor | None = None
     pose_features: Tensor | None = None
+    pose_detail: Tensor | None = None
     offsets: Tensor | None = None
     scales: Tensor | None = None
     motion: MotionState | None = None

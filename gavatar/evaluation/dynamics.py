@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..images.metrics import perceptual_metric
 from ..training.posing import pose_features
 from ..training.remedies.acceptance import dynamics_verdict
+from ..training.remedies.judging import detail_kept
 from ..training.run import Run, open_run
 from ..training.stage import STAGE_FILES
-from .result import DynamicsWorth, Evaluation
+from ..training.verdicts import Look
+from .result import DynamicsWorth, Evaluation, SplitScore
 from .scores import Evaluator
 
 TIMED_FRAMES = 9
@@ -38,25 +41,39 @@ def weigh_dynamics(result: Evaluation, device: str | torch.device = "cpu") -> Dy
         return None
     static_run = open_run(run.directory, 1, run.config.capture)
     static_run.config.rasterizer = run.config.rasterizer
-    evaluator = Evaluator(static_run, progress=False, device=device)
+    metric = perceptual_metric()[0] if rows[0].scores[0].perceptual is not None else None
+    evaluator = Evaluator(static_run, metric, progress=False, device=device)
     motion: Any = capture.truth if rows[0].poses == "true" else capture.motion
-    errors: dict[str, list[float]] = {"static": [], "dynamic": []}
-    for row in rows:
-        static = evaluator.score(row.split, row.poses, [score.view for score in row.scores], motion)
-        for name, scores in (("static", static.scores), ("dynamic", row.scores)):
-            errors[name] += [10 ** (-score.psnr / 10) for score in scores]
-    verdict = dynamics_verdict(np.array(errors["static"]), np.array(errors["dynamic"]), run.config.dynamics_gain)
-    frames = [score.view.frame for row in rows for score in row.scores]
+    static = [evaluator.score(row.split, row.poses, [s.view for s in row.scores], motion) for row in rows]
+    views = [score.view for row in rows for score in row.scores]
+    details = []
+    for stage_run, dynamic in ((static_run, False), (run, True)):
+        stage_run.avatar.eval()
+        scene = Evaluator(stage_run, progress=False, device=device).scene(views, motion)
+        details.append(detail_kept(scene, run.config.stage2.levels[-1].image, dynamic))
+    looks = [_look(scored, detail) for scored, detail in zip((static, rows), details, strict=True)]
+    verdict = dynamics_verdict(*looks, run.config.dynamics_gain)
+    frames = [view.frame for view in views[:TIMED_FRAMES]]
     return DynamicsWorth(
         splits=[row.split for row in rows],
         poses=rows[0].poses,
         views=verdict.views,
         gain_db=verdict.gain_db,
         standard_error_db=verdict.standard_error_db,
+        worst_gain_db=verdict.worst_gain_db,
+        perceptual_ratio=verdict.perceptual_ratio,
+        detail_ratio=verdict.detail_ratio,
         least_gain_db=run.config.dynamics_gain,
-        cost_ms=round(1e3 * _network_seconds(run, [motion.poses[frame] for frame in frames[:TIMED_FRAMES]]), 2),
+        cost_ms=round(1e3 * _network_seconds(run, [motion.poses[frame] for frame in frames]), 2),
         worth=verdict.kept,
+        against=verdict.against,
     )
+
+
+def _look(rows: list[SplitScore], detail: float) -> Look:
+    scores = [score for row in rows for score in row.scores]
+    distances = [score.perceptual for score in scores if score.perceptual is not None]
+    return Look([10 ** (-score.psnr / 10) for score in scores], distances or None, detail)
 
 
 @torch.no_grad()

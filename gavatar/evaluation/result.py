@@ -81,26 +81,37 @@ class SplitScore:
 @dataclasses.dataclass
 class DynamicsWorth:
     """splits: held out, of which the views are. poses: that both stages were rendered in. gain_db: mean gain in PSNR
-    of stage 2 over stage 1, view by view; standard_error_db: of that mean, None for one view. least_gain_db: asked for
+    of stage 2 over stage 1, view by view; standard_error_db: of that mean, None for one view. worst_gain_db,
+    perceptual_ratio, detail_ratio, against: as in `gavatar.training.verdicts.DynamicsVerdict`. least_gain_db: asked for
     by `dynamics_gain`. cost_ms: median time of a frame's networks, which a static avatar does not run, in PyTorch on
-    the machine of the evaluation. worth: the gain is at least what was asked and twice its standard error."""
+    the machine of the evaluation. worth: nothing speaks against them."""
 
     splits: list[str]
     poses: str
     views: int
     gain_db: float
     standard_error_db: float | None
+    worst_gain_db: float | None
+    perceptual_ratio: float | None
+    detail_ratio: float | None
     least_gain_db: float
     cost_ms: float
     worth: bool
+    against: list[str]
 
     def sentence(self) -> str:
         """For people."""
         error = "" if self.standard_error_db is None else f" (standard error {self.standard_error_db:.2f})"
-        says = "worth" if self.worth else "not worth"
+        says = "worth" if self.worth else f"not worth ({', '.join(self.against)})"
+        more = [] if self.worst_gain_db is None else [f"{self.worst_gain_db:+.2f} dB in the worst"]
+        if self.perceptual_ratio is not None:
+            more.append(f"{100 * (self.perceptual_ratio - 1):+.0f} % perceptual distance")
+        if self.detail_ratio is not None:
+            more.append(f"{100 * self.detail_ratio:.0f} % of the detail in a motion that nobody filmed")
         text = (
-            f"dynamics gain {self.gain_db:+.2f} dB{error} on {self.views} held-out views of {', '.join(self.splits)}, "
-            f"{self.poses} poses: {says} their cost of {self.cost_ms:.0f} ms a frame (networks in PyTorch, here)"
+            f"dynamics gain {self.gain_db:+.2f} dB{error}, {', '.join(more)}, on {self.views} held-out views of "
+            f"{', '.join(self.splits)}, {self.poses} poses: {says} their cost of {self.cost_ms:.0f} ms a frame "
+            "(networks in PyTorch, here)"
         )
         return text if self.worth else f"{text}; gavatar-export --stage 1 leaves them out"
 

@@ -15,20 +15,22 @@ PRIOR_AT = 0.75  # of a stage's steps
 class Plan:
     """One stage: what learns in it, at what rates and on what images, and which remedies it applies.
 
-    stage: steps, batch, rates and levels. seed, background: of the views it draws and what lies behind them.
+    stage: steps, batch, rates and levels. seed, background: of the views it draws and what lies behind them. draws_new:
+    while the pose encoder learns, it draws views by how new their pose is, else each alike.
     preview_every, save_every: steps.
 
-    What learns, besides the decoder. dynamic: the avatar is drawn with its pose encoder, which learns; else it looks
-    alike in every pose. learns_features, learns_exposure, learns_shape: true where it does. poses_move: the poses are
-    refined, by pose_rates in radians and metres a step, within the fractions `window` of the stage, with the options
-    `motion`. narrowing: neighbouring frames share less and less of their corrections, else as little as at the end of a
-    stage that narrows.
+    What learns. dynamic: the stage is about the pose encoder; encoder_from: fraction of the stage from which the avatar
+    is drawn with it and it learns, 1 for never. learns_decoder, learns_features, learns_exposure, learns_shape: true
+    where it does. poses_move: the poses are refined, by pose_rates in radians and metres a step, within the fractions
+    `window` of the stage, with the options `motion`. narrowing: neighbouring frames share less and less of their
+    corrections, else as little as at the end of a stage that narrows.
 
     Remedies. Before exposure_step and shape_step it is decided whether these are learnt, None where that is settled.
     waits: when poses begin to move is decided before all. mend_step: before which outliers are mended, None for never.
     prior_step: before which points that were hardly seen take on what is around them, to be held there; None for never.
-    guard: poses that got worse are refused. least_gain: dB that dynamics must gain on held-out views to be kept, None
-    where they are kept unasked; static_level: the last of the avatar that they must surpass.
+    guard: poses that got worse are refused. leaves_out: some views are kept from the pose encoder. least_gain: dB that
+    dynamics must gain on them to be kept, None where they are kept unasked; static_level: the last of the avatar that
+    they must surpass.
     """
 
     number: int
@@ -36,7 +38,10 @@ class Plan:
     motion: MotionConfig
     seed: int
     background: str
+    draws_new: bool
     dynamic: bool
+    encoder_from: float
+    learns_decoder: bool
     learns_features: bool
     learns_exposure: bool
     learns_shape: bool
@@ -50,10 +55,19 @@ class Plan:
     waits: bool
     prior_step: int | None
     guard: bool
+    leaves_out: bool
     least_gain: float | None
     static_level: LevelConfig
     preview_every: int
     save_every: int
+
+    def encodes_at(self, progress: float) -> bool:
+        """Whether the pose encoder learns at `progress`, 0 to 1, of the stage."""
+        return progress >= self.encoder_from and self.encoder_from < 1
+
+    def pose_rates_at(self, progress: float) -> tuple[float, float]:
+        """Radians and metres a step, before the schedule: faster once light and cloth are known."""
+        return self.pose_rates if self.encodes_at(progress) else (self.motion.lr, self.motion.lr_trans)
 
     def poses_move_at(self, progress: float) -> bool:
         """Whether poses are refined at `progress`, 0 to 1, of the stage."""
@@ -61,7 +75,8 @@ class Plan:
 
     def sharing(self, progress: float, span: float) -> float:
         """Seconds over which the frames of a capture of `span` seconds share their corrections."""
-        return sharing_width(self.motion, progress if self.narrowing else 1.0, span)
+        alone = progress / self.encoder_from if self.encoder_from > 0 else 1.0  # of the part without the encoder
+        return sharing_width(self.motion, min(1.0, alone) if self.narrowing else 1.0, span)
 
     @property
     def image(self) -> float:
@@ -84,8 +99,9 @@ def settled(motion: MotionConfig) -> MotionConfig:
 
 def stage_plans(config: TrainConfig, dynamic: bool) -> list[Plan]:
     """The stages of a training. dynamic: the avatar has a pose encoder."""
-    plans = [appearance(config)]
-    if dynamic and config.stage2.steps:
+    dynamic = dynamic and config.stage2.steps > 0
+    plans = [appearance(config, dynamic)]
+    if dynamic:
         plans.append(dynamics(config))
     return plans
 
@@ -99,8 +115,8 @@ def prior_step(stage: StageConfig) -> int | None:
     return min(max(round(PRIOR_AT * stage.steps), math.ceil(starts * stage.steps)), stage.steps - 1)
 
 
-def appearance(config: TrainConfig) -> Plan:
-    """Stage 1: how the person looks, and how they move."""
+def appearance(config: TrainConfig, dynamic: bool = False) -> Plan:
+    """Stage 1: how the person looks, and how they move. dynamic: stage 2 follows."""
     motion, steps = settled(config.motion), config.stage1.steps
     mends = motion.enabled and motion.mend > 0
     tries_shape = motion.enabled and motion.betas == AUTO and steps >= LEAST_STEPS
@@ -114,12 +130,15 @@ def appearance(config: TrainConfig) -> Plan:
         motion=motion,
         seed=config.seed + 1,
         background=config.background,
+        draws_new=config.draw == "new",
         dynamic=False,
+        encoder_from=config.stage1.encoder_from if dynamic else 1.0,
+        learns_decoder=True,
         learns_features=True,
         learns_exposure=config.exposure is True,
         learns_shape=motion.enabled and motion.betas is True,
         poses_move=motion.enabled,
-        pose_rates=(motion.lr, motion.lr_trans),
+        pose_rates=(motion.stage2 * motion.lr, motion.stage2_trans * motion.lr_trans),
         window=(motion.start, motion.end),
         narrowing=True,
         mend_step=step_at(motion.mend, mends),
@@ -128,6 +147,7 @@ def appearance(config: TrainConfig) -> Plan:
         waits=motion.enabled and config.motion.start == AUTO,
         prior_step=prior_step(config.stage1),
         guard=motion.guard,
+        leaves_out=dynamic and config.dynamics == "auto",
         least_gain=None,
         static_level=config.stage1.levels[-1],
         preview_every=config.preview_every,
@@ -144,7 +164,10 @@ def dynamics(config: TrainConfig) -> Plan:
         motion=motion,
         seed=config.seed + 2,
         background=config.background,
+        draws_new=config.draw == "new",
         dynamic=True,
+        encoder_from=0.0,
+        learns_decoder=config.stage2.lr_decoder > 0,
         learns_features=config.stage2.lr_features > 0,
         learns_exposure=False,
         learns_shape=False,
@@ -158,6 +181,7 @@ def dynamics(config: TrainConfig) -> Plan:
         waits=False,
         prior_step=prior_step(config.stage2),
         guard=motion.guard,
+        leaves_out=config.dynamics == "auto",
         least_gain=config.dynamics_gain if config.dynamics == "auto" else None,
         static_level=config.stage1.levels[-1],
         preview_every=config.preview_every,

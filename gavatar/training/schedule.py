@@ -16,9 +16,11 @@ def level_at(stage: StageConfig, step: int) -> LevelConfig:
     return next(level for level in stage.levels if fraction <= level.until)
 
 
-def lr_factor(stage: StageConfig, step: int) -> float:
-    """Cosine from 1 to `lr_final` over the stage."""
-    fraction = step / max(1, stage.steps - 1)
+def lr_factor(stage: StageConfig, step: int, again: float = 1.0) -> float:
+    """Cosine from 1 to `lr_final` over the stage; twice if it begins anew at the fraction `again` of the stage."""
+    anew = math.ceil(again * stage.steps)
+    first, last = (anew, stage.steps) if step >= anew else (0, anew)
+    fraction = (step - first) / max(1, last - first - 1)
     return stage.lr_final + (1 - stage.lr_final) * 0.5 * (1 + math.cos(math.pi * min(1.0, fraction)))
 
 
@@ -34,18 +36,33 @@ def sharing_width(motion: MotionConfig, progress: float, span: float = math.inf)
     return start + (end - start) * share
 
 
-def batch_rows(seed: int, count: int, batch: int, step: int) -> list[int]:
+def batch_rows(seed: int, count: int, batch: int, step: int, shares: np.ndarray | None = None) -> list[int]:
     """Rows of the views shown at `step`: epoch after epoch of seeded permutations, so that a resumed run goes on with
-    just the rows it would have seen. Distinct within a batch (a batch larger than the data is the data)."""
+    just the rows it would have seen. Distinct within a batch (a batch larger than the data is the data).
+
+    shares: (count,) how often each row is shown in an epoch of `count`, above zero and 1 in the mean; once each by
+    default. A share that is no whole number is met over the epochs (systematic sampling)."""
     batch = min(batch, count)
     rows: list[int] = []
     position = step * batch
     while len(rows) < batch:
-        order = np.random.default_rng([seed, position // count]).permutation(count)
-        fresh = [int(r) for r in order[position % count :] if int(r) not in rows][: batch - len(rows)]
-        rows += fresh
+        order = _epoch(np.random.default_rng([seed, position // count]), count, shares)
+        fresh = list(dict.fromkeys(int(r) for r in order[position % count :] if int(r) not in rows))
+        rows += fresh[: batch - len(rows)]
         position = (position // count + 1) * count
     return rows
+
+
+def _epoch(random: np.random.Generator, count: int, shares: np.ndarray | None) -> np.ndarray:
+    """(count,) the rows of an epoch in the order in which they are shown."""
+    order = random.permutation(count)
+    if shares is None:
+        return order
+    ends = np.cumsum(shares[order])
+    ends *= count / ends[-1]
+    times = np.diff(np.floor(ends + random.random()), prepend=0).astype(int)
+    times[-1] += count - times.sum()  # rounding, and what the random start moved past the end
+    return random.permutation(np.repeat(order, np.maximum(times, 0))[:count])
 
 
 def background_at(kind: str, seed: int, step: int) -> torch.Tensor:

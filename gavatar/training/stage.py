@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.progress import Progress
+from gavatar_runtime.values.surface import Surface
 
 from ..attributes import Attributes
 from ..losses import LossComposer, LossInputs
@@ -18,18 +20,22 @@ from ..registry import LOSSES, LossTraits
 from ..storage import load_tensors, save_tensors
 from .choosing import Chooser
 from .motion_table import RowAdam
+from .newness import draw_shares, newness, view_poses
 from .plan import Plan
 from .pose_learning import PoseLearner
 from .record import Record
-from .remedies.acceptance import dynamics_verdict, held_out_rows, refuse_worse_poses
+from .remedies.acceptance import dynamics_verdict, refuse_worse_poses
+from .remedies.coarseness import FinePart, fine_rms
 from .remedies.evidence import evidence_of
 from .remedies.exposure import RATE as EXPOSURE_RATE
 from .remedies.facing import facing_texels
+from .remedies.judging import colours_beyond, look
+from .remedies.left_out import left_out_rows
 from .remedies.outliers import judging_scale, mend_outliers
 from .remedies.prior import SURE, Prior, fill
 from .scene import Scene
 from .schedule import background_at, batch_rows, level_at, lr_factor
-from .verdicts import FillingVerdict
+from .verdicts import FillingVerdict, Look, ResidualVerdict
 
 log = logging.getLogger("gavatar.training")
 
@@ -41,8 +47,8 @@ REFUSED = "stage2_refused.pt"  # what dynamics=auto found not worth keeping
 class Stage:
     """Carries out one plan on a scene.
 
-    optimizers: by the name under which the checkpoint keeps them. held_out: rows of views that judge the stage; rows:
-    those it learns from.
+    optimizers: by the name under which the checkpoint keeps them. rows: of the views that the stage learns from.
+    learning: of those that the pose encoder learns from; left_out: of those that judge it.
     """
 
     def __init__(
@@ -53,9 +59,17 @@ class Stage:
         self.progress = progress
         self.prior: Prior | None = None  # what is held where little was seen, once it is known
         views = range(len(scene.views))
-        self.held_out = held_out_rows(len(views)) if plan.least_gain is not None else []
-        self.rows = [row for row in views if row not in set(self.held_out)]
+        places = view_poses(scene)
+        self.new = newness(places)
+        self.left_out = left_out_rows(places, scene.frames_of(views)) if plan.leaves_out else []
+        self.learning = [row for row in views if row not in set(self.left_out)]
+        self.rows = self.learning if plan.dynamic else list(views)
+        self._fine_part = FinePart()
+        self._still: tuple[Surface, Tensor] | None = None  # colours of the one look, and where
+        self.shares = draw_shares(self.new[self.rows]) if plan.draws_new else None
+        self.encoder_step = next((s for s in range(plan.stage.steps) if plan.encodes_at(s / plan.stage.steps)), None)
         self.optimizers, self._rates = self._make_optimizers()
+        scene.avatar.decoder.requires_grad_(plan.learns_decoder)
         scene.avatar.features.requires_grad_(plan.learns_features)
         scene.avatar.smooth.requires_grad_(plan.learns_features)
         scene.motion.requires_grad_(plan.poses_move)
@@ -75,15 +89,17 @@ class Stage:
     def _make_optimizers(self) -> tuple[dict[str, torch.optim.Optimizer], dict[str, list[float]]]:
         """The optimisers, and the rates that the schedule multiplies, by parameter group."""
         plan, avatar = self.plan, self.scene.avatar
-        groups: list[dict[str, Any]] = [{"params": list(avatar.decoder.parameters()), "lr": plan.stage.lr_decoder}]
+        groups: list[dict[str, Any]] = []
+        if plan.learns_decoder:
+            groups.append({"params": list(avatar.decoder.parameters()), "lr": plan.stage.lr_decoder})
         if plan.learns_features:
             first = [avatar.features, *avatar.smooth.parameters()]
             groups.append({"params": first, "lr": plan.stage.lr_features})
-        if plan.dynamic:
+        if plan.encoder_from < 1:
             groups.append({"params": list(avatar.encoder.parameters()), "lr": plan.stage.lr_encoder})
         rates: dict[str, list[float]] = {
             "optimizer": [group["lr"] for group in groups],
-            "motion_optimizer": list(plan.pose_rates),
+            "motion_optimizer": [0.0, 0.0],  # see `_prepare`
         }
         optimizers: dict[str, torch.optim.Optimizer] = {
             "optimizer": torch.optim.Adam(groups, fused=True),  # one pass over each parameter
@@ -104,6 +120,11 @@ class Stage:
         assert self.scene.shape is not None
         return torch.optim.Adam(self.scene.shape.parameters(), lr=self.plan.motion.lr_betas, betas=(0.9, 0.99))
 
+    @property
+    def judged(self) -> bool:
+        """Whether what the stage learns is kept only if it pays, by views that there are."""
+        return self.plan.least_gain is not None and len(self.left_out) > 0
+
     # --- the run of the stage -----------------------------------------------------------------------------------------
     def run(self, resume: dict[str, Any] | None) -> None:
         """All steps, or those that a checkpoint leaves to do, and the remedies after them."""
@@ -114,12 +135,10 @@ class Stage:
             first = self.plan.stage.levels[0]
             scene.place(first)
             self.plan = self.chooser.window(self.plan, first.image)
-        if start == 0 and self.plan.dynamic:
-            self._prepare_encoder()
-        if self.held_out and self.record.verdicts.static_errors is None:
+        if self.judged and self.record.verdicts.static_look is None:
             scene.place(self.plan.static_level)
-            # of images of the size that this stage is judged by: errors of smaller ones are smaller
-            self.record.verdicts.static_errors = scene.errors(self.held_out, self.plan.image).tolist()
+            # in images of the size that this stage is judged by: errors of smaller ones are smaller
+            self.record.verdicts.static_look = self._look(dynamic=False)
         self._run_steps(start)
         if start >= steps:  # nothing is left to do, or there never was: no step has placed the points
             scene.place(self.plan.stage.levels[-1])
@@ -143,10 +162,12 @@ class Stage:
         scene, encoder = self.scene, self.scene.avatar.encoder
         if not scene.avatar.encoder_traits.prepares:
             return
-        frames = scene.frames_of(self.rows)
-        cameras = [scene.footage.capture.camera(scene.views[row]) for row in self.rows]
+        rows = self.learning
+        frames = scene.frames_of(rows)
+        cameras = [scene.footage.capture.camera(scene.views[row]) for row in rows]
         surface = scene.built.atlas(encoder.map_size)
         seen = facing_texels(surface, scene.motion.motion(), frames, cameras).to(scene.device)
+        seen = seen * self.new[rows].to(seen.device, torch.float32)[:, None, None]
         encoder.prepare(surface, seen, *scene.encoder_inputs(frames))
 
     def _run_steps(self, start: int) -> None:
@@ -194,11 +215,14 @@ class Stage:
         if step == plan.shape_step and self.chooser.shape(judging_scale(self.scene, image)):
             self.optimizers["shape_optimizer"] = self._shape_optimizer()
             self._rates["shape_optimizer"] = [plan.motion.lr_betas]
+        if self.encoder_step == step:
+            self._prepare_encoder()
         if step == plan.mend_step:
             self._mend(image)
         if step == plan.prior_step:
             self._fill(image)
-        rows = [self.rows[r] for r in batch_rows(plan.seed, len(self.rows), plan.stage.batch, step)]
+        shares = self.shares if plan.encodes_at(progress) else None
+        rows = [self.rows[r] for r in batch_rows(plan.seed, len(self.rows), plan.stage.batch, step, shares)]
         inputs, attributes = self._draw(rows, image, background_at(plan.background, plan.seed, step), progress)
         total, values = self.losses(inputs)
         if self.prior is not None:
@@ -213,7 +237,9 @@ class Stage:
 
     def _prepare(self, step: int) -> float:
         """Points and rates for a step; the scale of its images."""
-        level, factor = level_at(self.plan.stage, step), lr_factor(self.plan.stage, step)
+        plan, progress = self.plan, step / max(1, self.plan.stage.steps)
+        level, factor = level_at(plan.stage, step), lr_factor(plan.stage, step, plan.encoder_from or 1.0)
+        self._rates["motion_optimizer"] = list(plan.pose_rates_at(progress))
         self.scene.place(level)
         for name, rates in self._rates.items():
             for group, rate in zip(self.optimizers[name].param_groups, rates, strict=True):
@@ -240,7 +266,10 @@ class Stage:
     ) -> tuple[LossInputs, Attributes]:
         """The views in `rows` and what the losses look at beside them, and what was decoded for them."""
         scene, plan, frames = self.scene, self.plan, self.scene.frames_of(rows)
-        pose_features = scene.pose_features(frames) if plan.dynamic else None
+        pose_features = scene.pose_features(frames) if plan.encodes_at(progress) else None
+        if pose_features is not None and not plan.dynamic:
+            told = [row not in self.left_out for row in rows]
+            pose_features = pose_features * pose_features.new_tensor(told)[:, None, None, None]
         attributes = scene.avatar.attributes(pose_features)
         seen = scene.compare(rows, image, attributes, background=background)
         motion = None
@@ -253,12 +282,21 @@ class Stage:
             mask=seen.mask,
             features=scene.avatar.features if plan.learns_features else None,
             pose_features=pose_features,
+            pose_detail=None if pose_features is None else self._pose_detail(attributes),
             offsets=attributes.offsets,
             scales=attributes.scales,
             progress=progress,
             motion=motion,
         )
         return inputs, attributes
+
+    def _pose_detail(self, attributes: Attributes) -> Tensor:
+        avatar = self.scene.avatar
+        changes = self.plan.learns_decoder or self.plan.learns_features
+        if changes or self._still is None or self._still[0] is not avatar.surface:
+            with torch.no_grad():
+                self._still = avatar.surface, avatar.attributes().colors
+        return self._fine_part(attributes.colors - self._still[1], avatar.surface)
 
     def _update(self, rows: list[int], progress: float) -> None:
         plan, optimizers = self.plan, self.optimizers
@@ -276,22 +314,23 @@ class Stage:
     def _judged(self) -> str:
         """The file that this stage's result goes to; with dynamics=auto, not stage2.pt if it does not pay. A stage that
         was judged before keeps its verdict: the guard has chosen poses since, by the views that judge."""
-        plan, verdicts = self.plan, self.record.verdicts
-        if not self.held_out:
+        plan, verdicts, scene = self.plan, self.record.verdicts, self.scene
+        if plan.dynamic and verdicts.residual is None:
+            fine, beyond = fine_rms(scene, self.learning), colours_beyond(scene, self.learning)
+            verdicts.residual = ResidualVerdict(round(fine, 5), round(beyond, 5))
+            if self.judged:
+                assert plan.least_gain is not None  # else no view is left out
+                assert verdicts.static_look is not None
+                dynamic = self._look(dynamic=True)
+                verdicts.dynamics = dynamics_verdict(verdicts.static_look, dynamic, plan.least_gain)
+        if verdicts.dynamics is None or not plan.dynamic:
             return STAGE_FILES[plan.number]
-        if verdicts.dynamics is None:
-            assert plan.least_gain is not None  # else no view is held out
-            dynamic = self.scene.errors(self.held_out, plan.image, dynamic=True)
-            verdicts.dynamics = dynamics_verdict(np.array(verdicts.static_errors), dynamic, plan.least_gain)
-        if verdicts.dynamics.kept:
-            return STAGE_FILES[plan.number]
-        log.warning(
-            "dynamics are not worth their cost in this capture: %+.2f dB on %d views that stage 2 did not see; "
-            "the avatar is the static one of stage 1",
-            verdicts.dynamics.gain_db,
-            verdicts.dynamics.views,
-        )
-        return REFUSED
+        log.warning(verdicts.dynamics.sentence())
+        return STAGE_FILES[plan.number] if verdicts.dynamics.kept else REFUSED
+
+    def _look(self, dynamic: bool) -> Look:
+        rates = self.plan.motion.lr, self.plan.motion.lr_trans
+        return look(self.scene, self.left_out, self.plan.image, dynamic, rates)
 
     def _finish(self, result: str, trained: bool) -> None:
         """Remedies, after the verdict: the guard chooses poses by the very views that judge. trained: steps were made,

@@ -7,14 +7,55 @@ from typing import Any
 
 
 @dataclasses.dataclass(frozen=True)
+class Look:
+    """How an avatar looks in the views that judge dynamics and in a motion that nobody filmed. errors: mean squared
+    errors of those views. distances: perceptual ones, None where the network for them is not installed. detail: mean
+    square of what is finer than a few pixels, in the motion."""
+
+    errors: list[float]
+    distances: list[float] | None
+    detail: float
+
+
+@dataclasses.dataclass(frozen=True)
 class DynamicsVerdict:
-    """Whether dynamics pay. gain_db: mean gain in PSNR over `views` views; standard_error_db: of that mean, None for
-    one view."""
+    """Whether dynamics pay. gain_db: mean gain in PSNR over the static avatar, on `views` views; standard_error_db: of
+    that mean, None for one view. worst_gain_db: of the worst view of the one over the worst of the other.
+    perceptual_ratio: mean perceptual distance over the static avatar's. detail_ratio: the same of the detail that a
+    motion shows which nobody filmed. None is what was not measured. against: what spoke against them."""
 
     kept: bool
     gain_db: float
     standard_error_db: float | None
     views: int
+    worst_gain_db: float | None = None
+    perceptual_ratio: float | None = None
+    detail_ratio: float | None = None
+    against: list[str] = dataclasses.field(default_factory=list)
+
+    def sentence(self) -> str:
+        """For people."""
+        said = [f"{self.gain_db:+.2f} dB in the mean"]
+        if self.worst_gain_db is not None:
+            said.append(f"{self.worst_gain_db:+.2f} dB in the worst")
+        if self.perceptual_ratio is not None:
+            said.append(f"{100 * (self.perceptual_ratio - 1):+.0f} % perceptual distance")
+        text = f"dynamics: {', '.join(said)} on {self.views} views in poses that they did not learn from"
+        if self.detail_ratio is not None:
+            text += f", {100 * self.detail_ratio:.0f} % of the detail in a motion that nobody filmed"
+        if self.kept:
+            return f"{text}: kept"
+        return f"{text}: refused ({', '.join(self.against)}), the avatar is the static one of stage 1"
+
+
+@dataclasses.dataclass(frozen=True)
+class ResidualVerdict:
+    """What of the colours changes with the pose. fine_rms: root mean square of the part finer than 5 cm on the body, of
+    the range of colours. beyond: share of points whose colour leaves its filmed range in a motion that nobody filmed.
+    """
+
+    fine_rms: float
+    beyond: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,13 +89,15 @@ class Choice:
 class Verdicts:
     """All that a training decided; None is what it had not to decide, or has not yet.
 
-    static_errors: mean squared errors of the avatar of stage 1 in the views that judge stage 2. frames_mended: those
-    whose pose was replaced. frames_kept_as_estimated: those whose refined pose was refused, in stage 1 and in stage 2.
+    static_look: of the avatar of stage 1, which stage 2 has to surpass. residual: what stage 2 made of the pose.
+    frames_mended: those whose pose was replaced. frames_kept_as_estimated: those whose refined pose was refused, in
+    stage 1 and in stage 2.
     choices: by the setting that was left to `auto`.
     """
 
     betas: ShapeVerdict | None = None
-    static_errors: list[float] | None = None
+    static_look: Look | None = None
+    residual: ResidualVerdict | None = None
     dynamics: DynamicsVerdict | None = None
     frames_mended: list[int] | None = None
     frames_kept_as_estimated: list[int] | None = None
@@ -72,8 +115,16 @@ class Verdicts:
 
     @staticmethod
     def from_json(values: dict[str, Any]) -> Verdicts:
-        """What `as_json` made plain."""
-        kinds = {"betas": ShapeVerdict, "dynamics": DynamicsVerdict, "unseen": FillingVerdict}
+        """What `as_json` made plain; what earlier versions wrote beside it is left out."""
+        fields = {field.name for field in dataclasses.fields(Verdicts)}
+        kinds: dict[str, Any] = {
+            "static_look": Look,
+            "residual": ResidualVerdict,
+            "betas": ShapeVerdict,
+            "dynamics": DynamicsVerdict,
+            "unseen": FillingVerdict,
+        }
         choices = {name: Choice(**value) for name, value in values.get("choices", {}).items()}
-        known = {name: kinds[name](**v) if name in kinds else v for name, v in values.items() if name != "choices"}
+        known = {name: value for name, value in values.items() if name in fields and name != "choices"}
+        known = {name: kinds[name](**v) if name in kinds else v for name, v in known.items()}
         return Verdicts(**known, choices=choices or None)

@@ -35,9 +35,11 @@ class MotionSource(abc.ABC):
 @dataclasses.dataclass(frozen=True)
 class MotionTraits:
     """varied: a built-in motion whose poses vary, so that what playing costs and loses can be measured by it.
-    waits: it is what a person does while nothing is asked of them."""
+    waits: it is what a person does while nothing is asked of them. whole: a built-in motion of the whole body, by which
+    it is measured how an avatar looks in poses that nobody filmed."""
 
     varied: bool = False
+    whole: bool = False
     waits: bool = False
 
 

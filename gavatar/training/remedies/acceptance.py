@@ -8,9 +8,10 @@ import numpy as np
 import torch
 
 from ..scene import Scene
-from ..verdicts import DynamicsVerdict
+from ..verdicts import DynamicsVerdict, Look
 
-HELD_OUT_EVERY = 8  # with dynamics=auto, the share of training views that stage 2 does not see
+WORST_ALLOWED = 0.05  # dB by which the worst view may be worse
+LEAST_DETAIL = 0.95  # of the static avatar's, in a motion that nobody filmed
 
 
 @torch.no_grad()
@@ -31,21 +32,37 @@ def refuse_worse_poses(scene: Scene, image: float, dynamic: bool = False) -> lis
     return refused
 
 
-def held_out_rows(count: int) -> list[int]:
-    """The training views that `dynamics=auto` keeps from stage 2: every eighth, from the middle of the first eight."""
-    return list(range(HELD_OUT_EVERY // 2, count, HELD_OUT_EVERY))
+def dynamics_verdict(static: Look, dynamic: Look, least_gain: float) -> DynamicsVerdict:
+    """Whether dynamics pay: kept only if nothing speaks against them. The mean gain in dB over views that they did not
+    learn from is at least `least_gain` and twice its own standard error, so that a gain by chance is not kept; the
+    worst view is no worse, nor the mean perceptual distance; and in a motion that nobody filmed the detail stays.
 
-
-def dynamics_verdict(static: np.ndarray, dynamic: np.ndarray, least_gain: float) -> DynamicsVerdict:
-    """Whether dynamics pay: the mean gain in dB over held-out views is at least `least_gain` and twice its own
-    standard error, so that a gain by chance is not kept. static, dynamic: (V,) mean squared errors of the same views.
+    static, dynamic: both looks in the same views.
     """
-    gains = 10 * (np.log10(np.maximum(static, 1e-10)) - np.log10(np.maximum(dynamic, 1e-10)))
+    errors = [np.maximum(look.errors, 1e-10) for look in (static, dynamic)]
+    gains = 10 * np.log10(errors[0] / errors[1])
     gain = float(gains.mean())
     error = float(gains.std(ddof=1) / math.sqrt(len(gains))) if len(gains) > 1 else math.inf
+    worst = float(10 * np.log10(errors[0].max() / errors[1].max()))
+    perceptual = None
+    if static.distances and dynamic.distances:
+        perceptual = float(np.mean(dynamic.distances) / max(np.mean(static.distances), 1e-9))
+    detail = dynamic.detail / static.detail if static.detail > 0 else None
+    objections = {
+        "no gain": gain < least_gain,
+        "a gain that may be chance": gain <= 2 * error,
+        "the worst view is worse": worst < -WORST_ALLOWED,
+        "it looks less alike": perceptual is not None and perceptual > 1,
+        "detail is lost": detail is not None and detail < LEAST_DETAIL,
+    }
+    against = [text for text, holds in objections.items() if holds]
     return DynamicsVerdict(
-        kept=bool(gain >= least_gain and gain > 2 * error),
+        kept=not against,
         gain_db=round(gain, 3),
         standard_error_db=round(error, 3) if math.isfinite(error) else None,
         views=len(gains),
+        worst_gain_db=round(worst, 3),
+        perceptual_ratio=None if perceptual is None else round(perceptual, 4),
+        detail_ratio=None if detail is None else round(detail, 4),
+        against=against,
     )

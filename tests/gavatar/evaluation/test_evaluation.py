@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import json
 import subprocess
@@ -82,7 +83,9 @@ def test_dynamics_are_weighed_on_held_out_frames(run, result):
     gains = [result.row(s, "true").psnr - static.row(s, "true").psnr for s in worth.splits]  # one view each
     assert worth.gain_db == pytest.approx(np.mean(gains), abs=2e-3)  # rounded to 0.001 dB
     assert worth.cost_ms > 0
-    assert worth.worth == (worth.gain_db >= 0.1 and worth.gain_db > 2 * worth.standard_error_db)
+    assert worth.worth == (not worth.against)
+    assert (worth.gain_db < 0.1) == ("no gain" in worth.against)
+    assert worth.detail_ratio > 0
     assert f"{worth.gain_db:+.2f} dB" in worth.sentence()
     result.dynamics = worth
     assert result.as_json()["dynamics"]["views"] == 2
@@ -92,13 +95,17 @@ def test_dynamics_are_weighed_on_held_out_frames(run, result):
     assert weigh_dynamics(only_trained) is None
 
 
-@pytest.mark.parametrize("worth", [True, False])
-def test_the_verdict_on_dynamics_says_what_to_do(worth):
-    text = DynamicsWorth(["test"], "true", 40, 0.5 if worth else 0.03, 0.04, 0.1, 21.4, worth).sentence()
+@pytest.mark.parametrize("against", [[], ["detail is lost"]])
+def test_the_verdict_on_dynamics_says_what_to_do(against):
+    worth = DynamicsWorth(["test"], "true", 40, 0.5, 0.04, 0.2, 0.9, 0.98, 0.1, 21.4, not against, against)
+    text = worth.sentence()
     assert "21 ms a frame" in text
-    assert ("not worth their cost" in text, "gavatar-export --stage 1" in text) == (not worth, not worth)
-    one = DynamicsWorth(["test"], "true", 1, 0.5, None, 0.1, 21.4, False).sentence()
+    assert "98 % of the detail" in text
+    assert ("not worth (detail is lost) their cost" in text) == bool(against)
+    assert ("gavatar-export --stage 1" in text) == bool(against)
+    one = dataclasses.replace(worth, views=1, standard_error_db=None, perceptual_ratio=None).sentence()
     assert "standard error" not in one
+    assert "perceptual" not in one
 
 
 def test_an_unknown_split_names_those_there_are(run):

@@ -9,7 +9,16 @@ import pytest
 
 from gavatar.config import check, compose_config
 from gavatar.training.plan import Plan, stage_plans
-from gavatar.training.verdicts import Choice, DynamicsVerdict, FillingVerdict, ShapeVerdict, Verdicts
+from gavatar.training.schedule import lr_factor
+from gavatar.training.verdicts import (
+    Choice,
+    DynamicsVerdict,
+    FillingVerdict,
+    Look,
+    ResidualVerdict,
+    ShapeVerdict,
+    Verdicts,
+)
 
 
 def plans(*overrides, dynamic: bool = True) -> list[Plan]:
@@ -42,9 +51,32 @@ def test_poses_move_within_the_window_of_stage_1_and_all_through_stage_2():
 
 
 def test_frames_share_less_and_less_in_stage_1_and_least_in_stage_2():
-    one, two = plans("motion.sharing=0.8", "motion.sharing_final=0.2", "motion.sharing_end=0.5")
+    given = ["motion.sharing=0.8", "motion.sharing_final=0.2", "motion.sharing_end=0.5", "stage1.encoder_from=1"]
+    one, two = plans(*given)
     assert [one.sharing(p, 100.0) for p in (0.0, 0.25, 1.0)] == pytest.approx([0.8, 0.5, 0.2])
     assert [two.sharing(p, 100.0) for p in (0.0, 1.0)] == pytest.approx([0.2, 0.2])
+
+
+def test_the_end_of_stage_1_knows_what_the_pose_does():
+    one, two = plans("stage1.encoder_from=0.8", "motion.sharing_end=0.5", "motion.sharing_final=0", "stage1.steps=100")
+    assert [one.encodes_at(p) for p in (0.0, 0.79, 0.8, 1.0)] == [False, False, True, True]
+    assert two.encodes_at(0.0)
+    assert one.pose_rates_at(0.5) == (one.motion.lr, one.motion.lr_trans)
+    assert one.pose_rates_at(0.9) == two.pose_rates_at(0.0) == (one.motion.lr, 3 * one.motion.lr_trans)
+    assert one.sharing(0.4, 100.0) == 0  # half of the part before
+    factors = [lr_factor(one.stage, step, one.encoder_from) for step in range(100)]
+    assert factors[0] == factors[80] == 1
+    assert factors[79] == factors[99] == pytest.approx(one.stage.lr_final)
+    (alone,) = plans("stage1.encoder_from=0.8", "stage1.steps=100", dynamic=False)
+    assert alone.encoder_from == 1  # without an encoder the stage is one piece
+    assert lr_factor(alone.stage, 80, alone.encoder_from) < 0.2
+
+
+def test_texture_stays_still_in_stage_2():
+    _, two = plans()
+    assert (two.learns_features, two.learns_decoder) == (False, False)
+    _, published = plans("experiment=paper")
+    assert (published.learns_features, published.learns_decoder, published.draws_new) == (False, True, False)
 
 
 @pytest.mark.parametrize(
@@ -79,8 +111,9 @@ def test_dynamics_are_judged_in_stage_2_where_asked_to(dynamics, least):
 
 WHOLE = Verdicts(
     betas=ShapeVerdict([0.0, 1.0], [0.5, 1.0]),
-    static_errors=[0.25],
-    dynamics=DynamicsVerdict(False, -0.5, None, 1),
+    static_look=Look([0.25], None, 0.01),
+    residual=ResidualVerdict(0.005, 0.01),
+    dynamics=DynamicsVerdict(False, -0.5, None, 1, -0.1, None, 0.9, ["no gain"]),
     frames_mended=[],
     frames_kept_as_estimated=[3],
     frames_kept_as_estimated_stage2=[],
@@ -98,4 +131,6 @@ def test_json_holds_what_was_decided_alone():
     assert Verdicts().as_json() == {}
     assert Verdicts(frames_mended=[]).as_json() == {"frames_mended": []}  # asked, and nothing found
     assert set(WHOLE.as_json()) == {field.name for field in dataclasses.fields(Verdicts)}
-    assert WHOLE.as_json()["dynamics"] == {"kept": False, "gain_db": -0.5, "standard_error_db": None, "views": 1}
+    known = {"kept": False, "gain_db": -0.5, "standard_error_db": None, "views": 1, "worst_gain_db": -0.1}
+    known |= {"perceptual_ratio": None, "detail_ratio": 0.9, "against": ["no gain"]}
+    assert WHOLE.as_json()["dynamics"] == known

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import WrongValue
 from ...values.motion import Motion
-from ..source import MOTIONS, MotionSource
+from ..source import MOTIONS, MotionSource, MotionTraits
 from .curves import cyclic
 from .figure import SIDES, Figure, stepping_aside
 from .standing import loop_phase
@@ -30,6 +30,7 @@ class DanceOptions:
 
 @MOTIONS.register(
     "dance", config=DanceOptions, summary="steps from side to side, hips and arms on the beat; loops",
+    traits=MotionTraits(whole=True),
 )  # fmt: skip
 class Dance(MotionSource):
     """Step, touch, step, touch: a bar with swinging arms, a bar with both arms up. The frame after the last would be

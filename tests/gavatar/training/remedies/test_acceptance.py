@@ -11,12 +11,13 @@ from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.config import check, compose_config
 from gavatar.storage import load_tensors
-from gavatar.training.remedies.acceptance import dynamics_verdict, held_out_rows, refuse_worse_poses
+from gavatar.training.remedies.acceptance import dynamics_verdict, refuse_worse_poses
+from gavatar.training.remedies.judging import detail_of
 from gavatar.training.run import open_run, train
 from gavatar.training.scene import Scene
 from gavatar.training.stage import REFUSED
 from gavatar.training.trainer import Trainer
-from gavatar.training.verdicts import DynamicsVerdict
+from gavatar.training.verdicts import DynamicsVerdict, Look, Verdicts
 from gavatar_runtime.errors import UserError
 
 
@@ -103,17 +104,44 @@ def test_stage_2_never_sees_the_views_that_judge_it(capture, tmp_path, monkeypat
     overrides = [f"capture={capture}", f"out={tmp_path}", *SMALL, "dynamics=auto", "stage2.steps=12"]
     trainer = Trainer(check(compose_config(overrides)), tmp_path)
     trainer.stage(1).run(None)
-    compare, learnt = trainer.scene.compare, set()
+    stage, learnt = trainer.stage(2), set()
+    draw = stage._draw
 
-    def watched(rows, *arguments, **options):
-        if torch.is_grad_enabled():  # else it is being judged
-            learnt.update(rows)
-        return compare(rows, *arguments, **options)
+    def watched(rows, *arguments):
+        learnt.update(rows)
+        return draw(rows, *arguments)
 
-    monkeypatch.setattr(trainer.scene, "compare", watched)
-    trainer.stage(2).run(None)
-    assert learnt == {0, 1, 2, 3, 5}
-    assert held_out_rows(6) == [4]
+    monkeypatch.setattr(stage, "_draw", watched)
+    stage.run(None)
+    assert learnt == {0, 1, 3, 4, 5}
+
+
+def test_stage_1_shows_the_views_that_judge_to_the_look_and_not_to_the_pose_encoder(capture, tmp_path, monkeypatch):
+    small = [option for option in SMALL if not option.startswith("encoder")]
+    overrides = [f"capture={capture}", f"out={tmp_path}", *small, "dynamics=auto", "encoder=linear"]
+    overrides += ["stage1.encoder_from=0.5", "stage1.steps=12"]
+    trainer = Trainer(check(compose_config(overrides)), tmp_path)
+    stage = trainer.stage(1)
+    assert stage.left_out == [2]
+    stage._prepare_encoder()
+    torch.nn.init.normal_(trainer.scene.avatar.encoder.maps)
+    shown = {}
+    attributes = trainer.scene.avatar.attributes
+
+    def watched(features=None):
+        if features is not None:
+            shown["features"] = features.detach()
+        return attributes(features)
+
+    monkeypatch.setattr(trainer.scene.avatar, "attributes", watched)
+    trainer.scene.place(stage.plan.stage.levels[0])
+    stage._draw([2, 1], 0.25, torch.ones(3), 0.9)
+    assert not shown["features"][0].any()
+    assert shown["features"][1].any()
+
+
+def look_of(errors, distances=None, detail=1e-3) -> Look:
+    return Look(list(errors), distances, detail)
 
 
 @pytest.mark.parametrize(
@@ -123,11 +151,59 @@ def test_stage_2_never_sees_the_views_that_judge_it(capture, tmp_path, monkeypat
 )  # fmt: skip
 def test_dynamics_are_kept_for_a_gain_beyond_chance(ratio, kept):
     static = np.full(len(ratio), 1e-3)
-    assert dynamics_verdict(static, static * ratio, 0.1).kept is kept
+    assert dynamics_verdict(look_of(static), look_of(static * ratio), 0.1).kept is kept
+
+
+@pytest.mark.parametrize(
+    ("dynamic", "against"),
+    [
+        (look_of([8e-4, 8e-4, 1.9e-3], [0.1, 0.1, 0.1]), []),
+        (look_of([5e-4, 5e-4, 2.1e-3], [0.1, 0.1, 0.1]), ["the worst view is worse"]),
+        (look_of([8e-4, 8e-4, 1.6e-3], [0.1, 0.1, 0.12]), ["it looks less alike"]),
+        (look_of([8e-4, 8e-4, 1.6e-3], [0.1, 0.1, 0.1], 0.9e-3), ["detail is lost"]),
+        (look_of([1e-3, 1e-3, 2e-3], [0.1, 0.1, 0.1]), ["no gain", "a gain that may be chance"]),
+    ],
+)
+def test_everything_must_speak_for_dynamics(dynamic, against):
+    static = look_of([1e-3, 1e-3, 2e-3], [0.1, 0.1, 0.1])
+    verdict = dynamics_verdict(static, dynamic, 0.1)
+    assert [text for text in against if text not in verdict.against] == []
+    assert verdict.kept is not against or not against
+    assert all(text in verdict.sentence() for text in against)
 
 
 def test_equal_images_do_not_break_the_verdict():
-    assert dynamics_verdict(np.zeros(4), np.zeros(4), 0.1) == DynamicsVerdict(False, 0.0, 0.0, 4)
+    same = look_of([0.0] * 4, [0.0] * 4, 0.0)
+    verdict = dynamics_verdict(same, same, 0.1)
+    assert (verdict.kept, verdict.gain_db, verdict.standard_error_db, verdict.views) == (False, 0.0, 0.0, 4)
+    assert verdict.detail_ratio is None
+
+
+def test_verdicts_of_earlier_versions_are_read():
+    former = {"static_errors": [0.1], "dynamics": {"kept": True, "gain_db": 1.0, "standard_error_db": None, "views": 1}}
+    assert Verdicts.from_json(former).dynamics == DynamicsVerdict(True, 1.0, None, 1)
+    assert Verdicts.from_json(former).as_json()["dynamics"]["kept"] is True
+
+
+def test_detail_is_what_is_finer_than_a_few_pixels_on_the_person():
+    checks = (torch.arange(32)[:, None] + torch.arange(32)) % 2
+    image, everywhere = checks.float().expand(1, 3, 32, 32), torch.ones(1, 32, 32)
+    assert detail_of(image, everywhere) > 0.2
+    assert detail_of(torch.full((1, 3, 32, 32), 0.3), everywhere) < 1e-9
+    alpha = torch.zeros(1, 32, 32)
+    assert detail_of(image, alpha) == 0
+    alpha[:, 8:24, 8:24] = 1
+    outline = alpha[:, None].expand(1, 3, 32, 32)
+    assert detail_of(outline, alpha) < 1e-9  # an outline is no detail
+
+
+def test_the_numbers_of_a_judged_run_stand_in_its_metrics(capture, tmp_path):
+    run(capture, tmp_path, "dynamics=auto", "dynamics_gain=-50", "stage2.lr_decoder=0")
+    verdicts = json.loads((tmp_path / "metrics.json").read_text())["verdicts"]
+    assert verdicts["dynamics"]["detail_ratio"] == pytest.approx(1, abs=0.5)
+    assert verdicts["dynamics"]["worst_gain_db"] is not None
+    assert 0 <= verdicts["residual"]["fine_rms"] < 0.1
+    assert 0 <= verdicts["residual"]["beyond"] <= 1
 
 
 def test_encoder_auto_is_the_linear_one_on_trial(capture):

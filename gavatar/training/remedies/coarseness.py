@@ -1,0 +1,69 @@
+"""How coarse on the body what depends on the pose is: light and folds are, texture is not."""
+
+from __future__ import annotations
+
+import weakref
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from gavatar_runtime.geometry.spacing import evenly_spaced
+from gavatar_runtime.values.surface import Surface
+
+from ..scene import Scene
+
+RADIUS = 0.05  # metres in the canonical pose: what is finer than this is texture
+LOOKED_AT = 8192  # points that the penalty looks at, each with `AROUND` others of those about it
+AROUND = 16
+MEASURED_POINTS, MEASURED_VIEWS = 2000, 32
+
+
+def surroundings(points: np.ndarray, seed: int, count: int = LOOKED_AT, around: int = AROUND) -> tuple[Tensor, Tensor]:
+    """(M,) indices of at most `count` of the points (N, 3), metres, drawn at random, and (M, around) indices of points
+    within `RADIUS` of each, itself among them; drawn with replacement."""
+    random = np.random.default_rng(seed)
+    chosen = np.sort(random.permutation(len(points))[:count])
+    balls = cKDTree(points).query_ball_point(points[chosen], RADIUS)
+    near = np.stack([random.choice(ball, around) for ball in balls]) if len(chosen) else np.zeros((0, around), int)
+    return torch.from_numpy(chosen), torch.from_numpy(near)
+
+
+class FinePart:
+    """The part of what points carry that is finer than `RADIUS`, at some of the points; those are drawn anew for each
+    surface."""
+
+    def __init__(self) -> None:
+        self._known: tuple[weakref.ref[Surface], Tensor, Tensor] | None = None
+
+    def __call__(self, values: Tensor, surface: Surface) -> Tensor:
+        """(B, N, C) on the points of `surface` -> (B, M, C) less the mean of those around."""
+        if self._known is None or self._known[0]() is not surface:
+            self._known = weakref.ref(surface), *surroundings(surface.points, len(surface.points))
+        chosen, near = (index.to(values.device) for index in self._known[1:])
+        mean = values[:, near.flatten()].unflatten(1, near.shape).mean(2)
+        return values[:, chosen] - mean
+
+
+@torch.no_grad()
+def fine_rms(scene: Scene, rows: list[int]) -> float:
+    """Root mean square, over points, channels and (some of) the views in `rows`, of the part of the colours' change
+    with the pose that is finer than `RADIUS`: colours in [0, 1], less those of the one look, less the mean of that over
+    all points within the radius."""
+    avatar = scene.avatar
+    training = avatar.training
+    avatar.eval()
+    points, still = avatar.surface.points, avatar.attributes().colors
+    chosen = np.random.default_rng(0).permutation(len(points))[:MEASURED_POINTS]
+    balls = cKDTree(points).query_ball_point(points[chosen], RADIUS)
+    lengths = torch.tensor([len(ball) for ball in balls], device=still.device)
+    index = torch.from_numpy(np.concatenate(balls).astype(np.int64)).to(still.device)
+    owner = torch.repeat_interleave(torch.arange(len(chosen), device=still.device), lengths)
+    squares = []
+    for row in [rows[i] for i in evenly_spaced(len(rows), MEASURED_VIEWS)]:
+        change = (avatar.attributes(scene.pose_features(scene.frames_of([row]))).colors - still)[0]
+        mean = change.new_zeros(len(chosen), 3).index_add_(0, owner, change[index]) / lengths[:, None]
+        squares.append(float((change[torch.from_numpy(chosen)] - mean).square().mean()))
+    avatar.train(training)
+    return float(np.sqrt(np.mean(squares)))
