@@ -51,8 +51,8 @@ def weigh_dynamics(result: Evaluation, device: str | torch.device = "cpu") -> Dy
         stage_run.avatar.eval()
         scene = Evaluator(stage_run, progress=False, device=device).scene(views, motion)
         details.append(detail_kept(scene, run.config.stage2.levels[-1].image, dynamic))
-    looks = [_look(scored, detail) for scored, detail in zip((static, rows), details, strict=True)]
-    verdict = dynamics_verdict(*looks, run.config.dynamics_gain)
+    still, moving = _look(static, details[0]), _look(rows, details[1])
+    verdict = dynamics_verdict(still, moving, run.config.dynamics_gain)
     frames = [view.frame for view in views[:TIMED_FRAMES]]
     return DynamicsWorth(
         splits=[row.split for row in rows],

@@ -46,7 +46,7 @@ def dynamics_verdict(static: Look, dynamic: Look, least_gain: float) -> Dynamics
     worst = float(10 * np.log10(errors[0].max() / errors[1].max()))
     perceptual = None
     if static.distances and dynamic.distances:
-        perceptual = float(np.mean(dynamic.distances) / max(np.mean(static.distances), 1e-9))
+        perceptual = float(np.mean(dynamic.distances)) / max(float(np.mean(static.distances)), 1e-9)
     detail = dynamic.detail / static.detail if static.detail > 0 else None
     objections = {
         "no gain": gain < least_gain,
