@@ -14,9 +14,7 @@ from gavatar_runtime.values.body import BodyData
 from gavatar_runtime.values.surface import Surface
 
 
-@POINTS.register(
-    "atlas", summary="the texels of the UV atlas (paper)", traits=PointTraits(texels=True, former=True), default=True
-)
+@POINTS.register("atlas", summary="the texels of the UV atlas (paper)", traits=PointTraits(texels=True, former=True))
 class AtlasPoints(PointPolicy):
     """The texels of the smallest atlas that has as many, the first of them in progressive order: the number of texels
     of an atlas gives that atlas. Texels are far apart where the atlas is coarse, and farther in one direction."""

@@ -27,7 +27,7 @@ class DetailOptions:
                 raise UserError(f"points.{name} must be within 0.1 and 10, not {value}")
 
 
-@POINTS.register("detail", config=DetailOptions, summary="closer together on head and hands")
+@POINTS.register("detail", config=DetailOptions, summary="closer together on head and hands", default=True)
 class DetailPoints(PointPolicy):
     """Evenly apart, but closer together on the head and the hands; between body and head the density goes over as the
     skinning weights do."""
