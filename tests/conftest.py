@@ -58,7 +58,7 @@ def fine_bundle(tiered_run, tmp_path_factory):
     from gavatar_runtime.bundle import read_bundle
 
     def make(folder: Path) -> None:
-        export(tiered_run, folder / "fine.gavatar", uv=96, tiers=["int8", "blendshape"])
+        export(tiered_run, folder / "fine.gavatar", gaussians=6000, tiers=["int8", "blendshape"])
 
     return read_bundle(made_once(tmp_path_factory, "fine_bundle", make) / "fine.gavatar")
 

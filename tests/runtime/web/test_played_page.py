@@ -109,7 +109,7 @@ def test_fewer_gaussians_are_as_many_and_closed(plain, tmp_path):
     convert(plain, f"{tmp_path}/site/", gaussians=5000)
     assert read_bin((tmp_path / "site" / "avatar.bin").read_bytes())[0]["points"]["count"] == 5000
     convert(plain, tmp_path / "a.html", motions=["turn"], gaussians=5000)
-    avatar = Avatar(plain)
+    avatar = Avatar(plain, gaussians=5000)
     motion, _ = avatar.fit(read_motion("turn"))
     camera = frame_motion(avatar, motion, 128, 128)
     with opened_page() as page:
