@@ -138,7 +138,7 @@ def _on(drawn: tuple[np.ndarray, np.ndarray], grey: float) -> np.ndarray:
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("avatars", nargs="+", type=Path, metavar="NAME.gavatar")
-    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="write all of them there, on black and on white")
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="all of them, on black and on white")
     arguments = parser.parse_args(argv)
     rows = [row for path in arguments.avatars for row in measured(path, arguments.pictures)]
     print(format_table(["avatar, rule", "gaussians", "psnr", "closed", "darkest"], rows))
