@@ -90,9 +90,10 @@ def test_settings_give_what_the_command_line_composes(capture):
         "encoder": {"name": "unet_small", "width": 8, "map_size": 64},
         "decoder": {"widths": [32, 32], "skip": 1, "head_width": 16},
         "avatar": {"features": 8, "feature_size": 64},
-        "stage1": {"steps": 6, "batch": 2, "levels": [{"until": 0.5, "uv": 64, "image": 0.125},
-                                                      {"until": 1.0, "uv": 64, "image": 0.25}]},
-        "stage2": {"steps": 4, "batch": 2, "levels": [{"until": 1.0, "uv": 64, "image": 0.25}], "lr_features": 0},
+        "stage1": {"steps": 6, "batch": 2, "levels": [{"until": 0.5, "gaussians": 2000, "image": 0.125},
+                                                      {"until": 1.0, "gaussians": 2850, "image": 0.25}]},
+        "stage2": {"steps": 4, "batch": 2, "levels": [{"until": 1.0, "gaussians": 2850, "image": 0.25}],
+                   "lr_features": 0},
         "progress": False, "threads": 1, "checkpoint_every": 2, "preview_every": 3, "losses": "demo",
         "dynamics": "always", "motion": {"stage2": 0, "stage2_trans": 0},
     }  # fmt: skip

@@ -141,7 +141,7 @@ def test_the_silhouette_is_as_wide_as_a_person_and_holds_what_is_seen_alone():
 
 
 def test_the_check_names_it_and_training_notes_it_before_it_starts(tmp_path):
-    from gavatar.config import compose_config
+    from gavatar.config import check, compose_config
     from gavatar.training.trainer import Trainer
 
     tiny = write_tiny_capture(tmp_path / "tiny")
@@ -152,10 +152,9 @@ def test_the_check_names_it_and_training_notes_it_before_it_starts(tmp_path):
     faults = check_capture(tiny).faults
     assert len(faults) == 1
     assert "do not meet" in faults[0]
+    config = check(compose_config([f"capture={tiny}", "encoder=none", *[s for s in SMALL if "encoder" not in s]]))
     with pytest.warns(Note, match="do not meet.*not OpenGL's"):
-        Trainer(
-            compose_config([f"capture={tiny}", "encoder=none", *[s for s in SMALL if "encoder" not in s]]), tmp_path
-        )
+        Trainer(config, tmp_path)
 
 
 def test_another_layouts_mistake_is_told_in_its_own_world(tmp_path, body):

@@ -12,7 +12,7 @@ import torch
 from stopped_runs import stopped_after
 from tiny_capture import SMALL, write_tiny_capture
 
-from gavatar.config import check, compose_config
+from gavatar.config import LevelConfig, check, compose_config
 from gavatar.storage import load_tensors, write_image
 from gavatar.training.remedies.brightness import brightness
 from gavatar.training.remedies.pose_quality import unsteadiness
@@ -115,7 +115,7 @@ def test_a_run_stopped_before_or_after_the_decisions_resumes_to_the_same(faulty,
 
 def scene_of(capture, out):
     scene = Trainer(check(compose_config([f"capture={capture}", f"out={out}", *STATIC])), out).scene
-    scene.place(64)
+    scene.place(LevelConfig(uv=64))
     return scene
 
 

@@ -11,7 +11,7 @@ import torch
 from children import child_environment
 from tiny_capture import SMALL, write_tiny_capture
 
-from gavatar.config import compose_config
+from gavatar.config import check, compose_config
 from gavatar.training import trainer
 from gavatar.training.trainer import Trainer
 
@@ -59,9 +59,8 @@ def test_a_trainer_takes_the_threads_asked_for_and_no_more_than_there_are_otherw
         for asked, started, taken in ((3, 5, 3), (0, 5, 2), (0, 1, 1)):
             torch.set_num_threads(started)
             capture = write_tiny_capture(tmp_path / f"capture{asked}{started}")
-            Trainer(
-                compose_config([f"capture={capture}", f"out={tmp_path / 'run'}", *SMALL, f"threads={asked}"]), tmp_path
-            )
+            given = [f"capture={capture}", f"out={tmp_path / 'run'}", *SMALL, f"threads={asked}"]
+            Trainer(check(compose_config(given)), tmp_path)
             assert torch.get_num_threads() == taken
     finally:
         torch.set_num_threads(before)

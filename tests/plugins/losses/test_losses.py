@@ -102,7 +102,7 @@ def test_the_default_weight_is_the_papers(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_values_are_means_and_do_not_grow_with_the_batch(build, name):
     one = disturbed(perfect(1))
-    fields = ("render", "target", "alpha", "mask", "pose_features", "offsets")
+    fields = ("render", "target", "alpha", "mask", "pose_features", "pose_detail", "offsets")
     two = dataclasses.replace(one, **{f: torch.cat([getattr(one, f)] * 2) for f in fields})
     loss = build(name)
     # summation in another order

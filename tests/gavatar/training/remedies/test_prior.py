@@ -166,8 +166,8 @@ def test_unseen_points_reach_the_prior_and_seen_ones_stay(scene):
     after = measured(avatar, static_look(avatar))[0]
     seen = torch.from_numpy(views > 0)
     assert torch.equal(prior.target[seen], before[seen])
-    # texels that only seen points read are not touched; the others are held by the fit, to a few 8-bit steps
-    assert (after[seen] - before[seen]).abs()[:, :3].mean() < 0.004
+    # texels that only seen points read are not touched; the others are held by the fit, to three 8-bit steps
+    assert (after[seen] - before[seen]).abs()[:, :3].mean() < 3 / 255
     first, last = ((x[~seen] - prior.target[~seen]).square().mean() for x in (before, after))
     assert last < 0.2 * first
     assert float(prior.loss(avatar, static_look(avatar))) == pytest.approx(

@@ -9,7 +9,7 @@ import pytest
 import torch
 from tiny_capture import SMALL, write_tiny_capture
 
-from gavatar.config import check, compose_config
+from gavatar.config import LevelConfig, check, compose_config
 from gavatar.training.remedies.shape_trial import shape_trial
 from gavatar.training.trainer import Trainer
 
@@ -29,7 +29,7 @@ def scene_of(folder, out, steps, off=0.0, frames=tuple(range(0, 60, 6))):
     stage = trainer.stage(1)
     for step in range(steps):
         stage.step(step)
-    trainer.scene.place(64)
+    trainer.scene.place(LevelConfig(uv=64))
     return trainer.scene
 
 
