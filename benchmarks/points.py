@@ -23,8 +23,8 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 
+from gavatar.avatar.blue_noise import spread
 from gavatar.evaluation.close_ups import close_ups
 from gavatar.evaluation.scores import Evaluator
 from gavatar.registry import load_plugins
@@ -32,23 +32,11 @@ from gavatar.storage import write_image, write_json
 from gavatar.text_table import format_table
 from gavatar.training.posing import attributes_in
 from gavatar.training.run import Run, open_run
-from gavatar_runtime.values.surface import Surface
 
 OPAQUE = 0.98
 ERODED = 3  # pixels inside the mask, at its own size
 SIZES = (1, 2, 4)
 BLACK, WHITE = torch.zeros(3), torch.ones(3)
-
-
-def spread(surface: Surface) -> float:
-    """By which share of its mean the distance to the nearest point on the same side of the body varies, each in units
-    of the spacing there."""
-    distance, other = cKDTree(surface.points).query(surface.points, k=min(9, len(surface)))
-    same = np.einsum("nkc,nc->nk", surface.normals[other], surface.normals) > 0
-    same[:, 0] = False  # itself
-    relative = np.where(same, 2 * distance / (surface.spacing[other] + surface.spacing[:, None]), np.inf).min(1)
-    relative = relative[np.isfinite(relative)]
-    return float(relative.std() / relative.mean())
 
 
 @torch.no_grad()

@@ -7,6 +7,8 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
+from gavatar_runtime.values.surface import Surface
+
 CANDIDATES = 7  # offered for each point that is wanted: twice as many take three times as long for little
 SHRINK = 2**-0.25  # of the radius from one level to the next
 # Radius that a level ends at with all points that fit, in units of the root of a point's share of the surface. The
@@ -99,3 +101,14 @@ class _Candidates:
         distance = np.linalg.norm(self.places[one] - self.places[other], axis=-1) / spacing
         facing = np.einsum("pc,pc->p", self.normals[one], self.normals[other]) > 0
         return np.where(facing, distance, np.inf)
+
+
+def spread(surface: Surface) -> float:
+    """By what share of its mean the distance to the nearest point on the same side of the body varies, in units of
+    the spacing there: 0.52 of random places, 0 of a hexagonal grid."""
+    distance, other = cKDTree(surface.points).query(surface.points, k=min(9, len(surface)))
+    same = np.einsum("nkc,nc->nk", surface.normals[other], surface.normals) > 0
+    same[:, 0] = False  # itself
+    relative = np.where(same, 2 * distance / (surface.spacing[other] + surface.spacing[:, None]), np.inf).min(1)
+    relative = relative[np.isfinite(relative)]
+    return float(relative.std() / relative.mean())

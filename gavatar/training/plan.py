@@ -179,7 +179,8 @@ def dynamics(config: TrainConfig) -> Plan:
         exposure_step=None,
         shape_step=None,
         waits=False,
-        prior_step=prior_step(config.stage2),
+        # a look that stands still was held to the prior in stage 1
+        prior_step=prior_step(config.stage2) if config.stage2.lr_decoder or config.stage2.lr_features else None,
         guard=motion.guard,
         leaves_out=config.dynamics == "auto",
         least_gain=config.dynamics_gain if config.dynamics == "auto" else None,

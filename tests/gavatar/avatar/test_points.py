@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from gavatar.avatar.atlas import sample_atlas
-from gavatar.avatar.blue_noise import CANDIDATES, progressive_order
+from gavatar.avatar.blue_noise import CANDIDATES, progressive_order, spread
 from gavatar.avatar.on_body import areas
 from gavatar.avatar.points import HANDS, HEAD, sample_points, share_of
 from gavatar.registry import BODIES, POINTS, load_plugins
@@ -28,17 +28,6 @@ def body():
 @pytest.fixture(scope="module")
 def detailed(body):
     return POINTS.build("detail").sample(body, None, COUNT)
-
-
-def spread(surface) -> float:
-    """By which share of its mean the distance to the nearest point of the same side of the body varies, each in units
-    of the spacing there. Random places give 0.52, a hexagonal grid 0."""
-    distance, other = cKDTree(surface.points).query(surface.points, k=min(9, len(surface)))
-    same = np.einsum("nkc,nc->nk", surface.normals[other], surface.normals) > 0
-    same[:, 0] = False  # itself
-    relative = np.where(same, 2 * distance / (surface.spacing[other] + surface.spacing[:, None]), np.inf).min(1)
-    relative = relative[np.isfinite(relative)]
-    return float(relative.std() / relative.mean())
 
 
 @pytest.mark.parametrize("policy", ["even", "detail"])
