@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -56,7 +57,7 @@ def young(path: Path, steps: int, fault: str = "") -> tuple[Scene, float, float 
     overrides = [f"capture={path}", "out=unused", "experiment=demo", "encoder=none", "progress=false"]
     overrides += ["stage1.steps=500", f"stage1.levels=[{{until:1.0,uv:64,image:{scale}}}]"]
     config = check(compose_config(overrides))
-    trainer = Trainer(config, Path("unused"))
+    trainer = Trainer(config, Path(tempfile.mkdtemp(prefix="decisions-")))  # for the preview that a first step draws
     scene = trainer.scene
     if fault == "drift":
         color = scene.footage.at(scale).color
