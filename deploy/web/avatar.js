@@ -5,6 +5,7 @@ import { Motion } from "./motion.js";
 import { Sorter } from "./sorter.js";
 import { Splats } from "./splats.js";
 
+const VERSION = 2; // of the data, as web/web_data.py writes it
 const SAMPLED = 400; // points for framing
 
 // An avatar from the address of an `avatar.bin`, or from a source of data.js. canvas: to draw into, or gl: a WebGL2
@@ -13,7 +14,7 @@ const SAMPLED = 400; // points for framing
 export async function load(source, options = {}) {
   const from = typeof source === "string" || source instanceof URL ? FileSource.from(source) : source;
   const header = await from.header;
-  if (header.version !== 1) throw new Error(`this avatar is of version ${header.version}, and this player reads 1: use a newer player`);
+  if (header.version !== VERSION) throw new Error(`this avatar is of version ${header.version}, and this player reads ${VERSION}: take both from one export`);
   const avatar = new Avatar(header, from, options);
   await avatar.start();
   return avatar;
@@ -70,8 +71,9 @@ export class Avatar {
   }
 
   async addChunk(entry) {
-    const arrays = arraysOf(await this.source.block(entry.block), entry.layout);
-    const chunk = { start: entry.start, padded: entry.padded, ...arrays };
+    const { at, ...arrays } = arraysOf(await this.source.block(entry.block), entry.layout);
+    const chunk = { start: entry.start, padded: entry.padded };
+    for (const name in arrays) chunk[name] = scattered(arrays[name], at, entry.padded, name === "part" ? 1 : 4);
     this.chunks.push(chunk);
     this.splats.add(chunk);
     const { low, span, slots } = this.header.points;
@@ -243,6 +245,18 @@ export class Avatar {
     this.sorter.close();
     this.splats.close();
   }
+}
+
+// Planes of `padded` rows of `width` numbers, with row i of each put into row at[i].
+function scattered(array, at, padded, width) {
+  const out = new array.constructor(array.length);
+  for (let plane = 0; plane < array.length; plane += padded * width) {
+    for (let i = 0; i < at.length; i++) {
+      const from = plane + width * i, to = plane + width * at[i];
+      for (let k = 0; k < width; k++) out[to + k] = array[from + k];
+    }
+  }
+  return out;
 }
 
 // Planes of four slots, one after another, as rows of all slots of each Gaussian.

@@ -36,7 +36,7 @@ def arrays_of(entry: dict[str, Any], blocks: list[bytes]) -> dict[str, np.ndarra
 
 
 def points_of(header: dict[str, Any], blocks: list[bytes]) -> dict[str, np.ndarray]:
-    """points, scales, spacing, colors, joints and weights (N, slots) of all chunks, in the order they are stored."""
+    """points, scales, spacing, colors, joints and weights (N, slots) of all chunks, in the progressive order."""
     said = header["points"]
     out: dict[str, list[np.ndarray]] = {}
     for chunk in said["chunks"]:
@@ -53,6 +53,8 @@ def points_of(header: dict[str, Any], blocks: list[bytes]) -> dict[str, np.ndarr
         }  # fmt: skip
         if "basis" in arrays:  # layers of the texture: (groups 7, padded, 4)
             got["basis"] = arrays["basis"].reshape(-1, chunk["padded"], 4).swapaxes(0, 1)[:n]
+        assert np.array_equal(np.sort(arrays["at"]), np.arange(n))
         for name, array in got.items():
+            array = array[np.argsort(arrays["at"])]
             out.setdefault(name, []).append(array)
     return {name: np.concatenate(parts) for name, parts in out.items()}

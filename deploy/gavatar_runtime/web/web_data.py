@@ -3,7 +3,9 @@
 `avatar.bin` is MAGIC, the header's length (uint32, little endian), the header (JSON) and the blocks one after another.
 The header's `blocks` has the size of each; whatever lies in a block is listed beside its number as a `layout`: name,
 kind (`f4`, `u1`, `i1`, `u2`, `i4`: little endian), shape and offset. Gaussians come in chunks whose texels fill whole
-rows of a texture WIDTH wide, in their progressive order (`Surface.rank`): each chunk makes the whole avatar denser.
+rows of a texture WIDTH wide; each chunk is the next part of their progressive order (`Surface.rank`) and makes the whole
+avatar denser. In a chunk neighbours on the body stand side by side, which compresses better, and `at` says which row of
+the progressive order each has.
 
 Positions and scales are 16-bit numbers between the bounds in the header, colours, skinning weights and spacings 8-bit.
 """
@@ -25,7 +27,7 @@ from ..values.motion import Motion
 from .look import StillLook
 
 MAGIC = b"GAVATWEB"
-VERSION = 1
+VERSION = 2
 WIDTH = 1024  # texels in a row of the player's textures
 FIRST_ROWS = 8  # of the first chunk, which shows at once; each further one is as large as all before
 SLOTS = 4  # joints a texel
@@ -122,8 +124,10 @@ def _small(array: np.ndarray) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Points:
-    """All Gaussians in the order they are stored; bounds: what turns their numbers into metres."""
+    """All Gaussians, chunk by chunk; rank: places in the progressive order; bounds: what turns their numbers into
+    metres."""
 
+    rank: np.ndarray
     place: np.ndarray
     color: np.ndarray
     joints: np.ndarray
@@ -134,7 +138,9 @@ class _Points:
 
     @classmethod
     def of(cls, look: StillLook, head: dict[str, Any] | None) -> _Points:
-        order = np.argsort(look.rank)
+        # a bundle's own order follows the surface: it is kept within each chunk
+        ranked = np.argsort(look.rank)
+        order = np.concatenate([np.sort(ranked[start : start + count]) for start, count in _chunks(len(look))])
         low, high = look.points.min(0).astype(np.float64), look.points.max(0).astype(np.float64)
         least, most = float(look.scales.min()), float(look.scales.max())
         widest = max(float(look.spacing.max()), 1e-9)
@@ -154,7 +160,7 @@ class _Points:
             "low": low.tolist(), "span": (high - low).tolist(), "scale": [least, most - least], "spacing": widest,
             "spread": SPREAD,
         }  # fmt: skip
-        return cls(place[order], color[order], joints[order], weights[order], part, basis, bounds)
+        return cls(look.rank[order], place[order], color[order], joints[order], weights[order], part, basis, bounds)
 
     def chunk(self, start: int, count: int) -> dict[str, Any]:
         """{start, count, padded, arrays}, padded to whole rows; planes of what a Gaussian has several texels of."""
@@ -163,6 +169,7 @@ class _Points:
         slots = self.joints.shape[1] // SLOTS
         arrays = {"place": self.place[rows], "color": self.color[rows]}
         arrays = {name: _padded(a, padded) for name, a in arrays.items()}
+        arrays["at"] = (self.rank[rows] - start).astype(np.int32)
         for name, array in (("joints", self.joints), ("weights", self.weights)):
             planes = _padded(array[rows], padded).reshape(padded, slots, SLOTS)
             arrays[name] = np.ascontiguousarray(planes.swapaxes(0, 1))
