@@ -73,7 +73,7 @@ export class Avatar {
   async addChunk(entry) {
     const { at, ...arrays } = arraysOf(await this.source.block(entry.block), entry.layout);
     const chunk = { start: entry.start, padded: entry.padded };
-    for (const name in arrays) chunk[name] = scattered(arrays[name], at, entry.padded, name === "part" ? 1 : 4);
+    for (const name in arrays) chunk[name] = unpacked(arrays[name], at, entry.padded, name === "part" ? 1 : 4);
     this.chunks.push(chunk);
     this.splats.add(chunk);
     const { low, span, slots } = this.header.points;
@@ -247,13 +247,17 @@ export class Avatar {
   }
 }
 
-// Planes of `padded` rows of `width` numbers, with row i of each put into row at[i].
-function scattered(array, at, padded, width) {
-  const out = new array.constructor(array.length);
-  for (let plane = 0; plane < array.length; plane += padded * width) {
-    for (let i = 0; i < at.length; i++) {
-      const from = plane + width * i, to = plane + width * at[i];
-      for (let k = 0; k < width; k++) out[to + k] = array[from + k];
+// Layers of `padded` rows of `width` numbers, from planes of one number of each Gaussian: its difference to the one
+// before, modulo its type, as the typed array has it by itself. at: the row of each.
+function unpacked(planes, at, padded, width) {
+  const count = at.length, layers = planes.length / count / width;
+  const out = new planes.constructor(layers * padded * width);
+  for (let p = 0; p < layers * width; p++) {
+    const first = padded * width * Math.floor(p / width) + (p % width);
+    let value = 0;
+    for (let i = 0; i < count; i++) {
+      value += planes[p * count + i];
+      out[first + width * at[i]] = value;
     }
   }
   return out;

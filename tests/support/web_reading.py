@@ -43,16 +43,16 @@ def points_of(header: dict[str, Any], blocks: list[bytes]) -> dict[str, np.ndarr
         arrays, n = arrays_of(chunk, blocks), chunk["count"]
         assert chunk["padded"] % 1024 == 0
         assert chunk["start"] == sum(map(len, out.get("points", [])))
-        place = arrays["place"][:n].astype(np.float64) / 65535
+        rows = {name: np.cumsum(a, 1, dtype=a.dtype).T for name, a in arrays.items() if name != "at"}
+        place = rows["place"].astype(np.float64) / 65535
         got = {
             "points": np.array(said["low"]) + np.array(said["span"]) * place[:, :3],
             "scales": said["scale"][0] + said["scale"][1] * place[:, 3],
-            "colors": arrays["color"][:n, :3] / 255, "spacing": arrays["color"][:n, 3] / 255 * said["spacing"],
-            **{k: arrays[k].swapaxes(0, 1)[:n].reshape(n, -1) for k in ("joints", "weights")},
-            **{k: arrays[k][:n] for k in ("part",) if k in arrays},
+            "colors": rows["color"][:, :3] / 255, "spacing": rows["color"][:, 3] / 255 * said["spacing"],
+            "joints": rows["joints"], "weights": rows["weights"],
         }  # fmt: skip
-        if "basis" in arrays:  # layers of the texture: (groups 7, padded, 4)
-            got["basis"] = arrays["basis"].reshape(-1, chunk["padded"], 4).swapaxes(0, 1)[:n]
+        if "basis" in rows:
+            got |= {"part": rows["part"][:, 0], "basis": rows["basis"].reshape(n, -1, 4)}
         assert np.array_equal(np.sort(arrays["at"]), np.arange(n))
         for name, array in got.items():
             array = array[np.argsort(arrays["at"])]

@@ -3,9 +3,9 @@
 `avatar.bin` is MAGIC, the header's length (uint32, little endian), the header (JSON) and the blocks one after another.
 The header's `blocks` has the size of each; whatever lies in a block is listed beside its number as a `layout`: name,
 kind (`f4`, `u1`, `i1`, `u2`, `i4`: little endian), shape and offset. Gaussians come in chunks whose texels fill whole
-rows of a texture WIDTH wide; each chunk is the next part of their progressive order (`Surface.rank`) and makes the whole
-avatar denser. In a chunk neighbours on the body stand side by side, which compresses better, and `at` says which row of
-the progressive order each has.
+rows of a texture WIDTH wide; each chunk is the next part of their progressive order (`Surface.rank`) and makes the
+whole avatar denser. In a chunk neighbours on the body stand side by side and each number is stored as its difference to
+the neighbour's before it, which compresses better; `at` is the row of the progressive order that each Gaussian has.
 
 Positions and scales are 16-bit numbers between the bounds in the header, colours, skinning weights and spacings 8-bit.
 """
@@ -163,20 +163,14 @@ class _Points:
         return cls(look.rank[order], place[order], color[order], joints[order], weights[order], part, basis, bounds)
 
     def chunk(self, start: int, count: int) -> dict[str, Any]:
-        """{start, count, padded, arrays}, padded to whole rows; planes of what a Gaussian has several texels of."""
+        """{start, count, padded, arrays}; padded: count up to whole rows of the textures."""
         rows = slice(start, start + count)
-        padded = -(-count // WIDTH) * WIDTH
-        slots = self.joints.shape[1] // SLOTS
-        arrays = {"place": self.place[rows], "color": self.color[rows]}
-        arrays = {name: _padded(a, padded) for name, a in arrays.items()}
-        arrays["at"] = (self.rank[rows] - start).astype(np.int32)
-        for name, array in (("joints", self.joints), ("weights", self.weights)):
-            planes = _padded(array[rows], padded).reshape(padded, slots, SLOTS)
-            arrays[name] = np.ascontiguousarray(planes.swapaxes(0, 1))
+        stored = {"place": self.place, "color": self.color, "joints": self.joints, "weights": self.weights}
         if self.part is not None and self.basis is not None:
-            arrays["part"] = _padded(self.part[rows], padded)
-            arrays["basis"] = np.ascontiguousarray(_padded(self.basis[rows], padded).swapaxes(0, 1))
-        return {"start": start, "count": count, "padded": padded, "arrays": arrays}
+            stored |= {"part": self.part, "basis": self.basis}
+        arrays = {name: _differences(array[rows]) for name, array in stored.items()}
+        arrays["at"] = (self.rank[rows] - start).astype(np.int32)
+        return {"start": start, "count": count, "padded": -(-count // WIDTH) * WIDTH, "arrays": arrays}
 
 
 def _chunk_entry(chunk: dict[str, Any], blocks: _Blocks) -> dict[str, Any]:
@@ -211,7 +205,7 @@ def _skinning(index: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.nda
     return np.ascontiguousarray(joints[:, :slots]), np.ascontiguousarray(weights[:, :slots])
 
 
-def _padded(array: np.ndarray, rows: int) -> np.ndarray:
-    out = np.zeros((rows, *array.shape[1:]), array.dtype)
-    out[: len(array)] = array
-    return out
+def _differences(array: np.ndarray) -> np.ndarray:
+    """(numbers a Gaussian, N) of (N, ...): each number less that of the Gaussian before it, modulo its type."""
+    planes = array.reshape(len(array), -1).T
+    return np.diff(planes, axis=1, prepend=planes.dtype.type(0))
