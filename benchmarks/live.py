@@ -37,6 +37,7 @@ from gavatar_runtime.view.frame_encoding import encoded
 from gavatar_runtime.view.viewed_avatar import ViewedAvatar, Wish
 
 CAMERA_RATE = 30.0  # pictures a second of a usual webcam
+WARM_UP = 45  # pictures in which a driver measures the person, who stays in place until then
 WARM = 30  # frames that are not counted: buffers fill, the clock of the processor rises
 
 
@@ -70,10 +71,11 @@ def accuracy(capture: Path, fov: float) -> dict[str, dict[str, float]]:
     body, truth = load_free_body(), read_motion(capture / "body_truth.npz", up="y")
     rest = body.shaped(truth.betas)[1]
     steadied = Steadied(PlayedBody(tuple(body.joint_names), rest, None, None, 0))
-    driver, raw, shown, lost = build_driver({"fov": fov}), [], [], 0
+    driver, raw, shown, walked, lost = build_driver({"fov": fov}), [], [], [], 0
     for k, image in enumerate(pictures(capture)):
         seen = driver(image, k / truth.fps)
-        pose = steadied(seen, k / truth.fps)[0]
+        pose, trans, _ = steadied(seen, k / truth.fps)
+        walked.append(trans)
         lost += seen is None
         shown.append(pose[:SMPL_BODY_JOINTS])
         raw.append(shown[-1] if seen is None else seen.pose[:SMPL_BODY_JOINTS])
@@ -90,6 +92,10 @@ def accuracy(capture: Path, fov: float) -> dict[str, dict[str, float]]:
         found[name] = {"pa_mpjpe_mm": pa, "mpjpe_mm": mpjpe, "jitter_m_s2": jitter(mine, true, truth.fps),
                        "behind_ms": behind(mine, true, truth.fps)}  # fmt: skip
     found["after the filter"]["frames_without_a_person"] = lost
+    for axis, name in ((0, "sideways"), (2, "towards_the_camera")):
+        # the slope of the line through what was found over what is true, once the bones are measured
+        there, here = (np.asarray(t, np.float64)[WARM_UP:, axis] for t in (truth.trans[: len(raw)], walked))
+        found["after the filter"][f"walked_{name}_of_true"] = float(np.polyfit(there, here, 1)[0])
     return found
 
 
