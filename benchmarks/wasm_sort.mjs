@@ -15,9 +15,11 @@ const points = new Float32Array(3 * N).map(() => random() * 2 - 1);
 const joints = new Uint8Array(4 * N), weights = new Uint8Array(4 * N);
 for (let i = 0; i < N; i++) {
   const draw = random(), used = draw < 0.47 ? 1 : draw < 0.85 ? 2 : draw < 0.97 ? 3 : 4;
-  for (let k = 0, left = 255; k < used; k++) {
-    weights[4 * i + k] = k === used - 1 ? left : Math.floor(random() * left);
-    left -= weights[4 * i + k];
+  const parts = Array.from({ length: used }, () => random() + 0.01), sum = parts.reduce((x, y) => x + y);
+  const shares = parts.map((part) => Math.max(1, Math.floor((255 * part) / sum))).sort((x, y) => y - x); // heaviest first
+  shares[0] += 255 - shares.reduce((x, y) => x + y);
+  for (let k = 0; k < used; k++) {
+    weights[4 * i + k] = shares[k];
     joints[4 * i + k] = Math.floor(random() * J);
   }
 }

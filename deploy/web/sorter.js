@@ -2,10 +2,12 @@
 
 // Runs in the worker, where nothing else of this file is known: keep it self-contained.
 export function sorterThread() {
-  let count = 0, slots = 4;
-  let points = new Float32Array(0), joints = new Uint8Array(0), weights = new Uint8Array(0);
+  let count = 0;
   let depth = new Float32Array(0), keys = new Uint16Array(0);
   const starts = new Uint32Array(65537);
+  // Gaussians by how many joints move them, so that no loop asks for each weight whether it is zero: numbers, canonical
+  // points, and joint * 256 + weight of each of their joints.
+  const groups = [];
 
   function grown(old, length) {
     const array = new old.constructor(length);
@@ -13,35 +15,50 @@ export function sorterThread() {
     return array;
   }
 
-  function add(message) {
-    slots = message.slots;
-    const total = message.start + message.points.length / 3;
-    points = grown(points, 3 * total);
-    joints = grown(joints, slots * total);
-    weights = grown(weights, slots * total);
-    points.set(message.points, 3 * message.start);
-    joints.set(message.joints, slots * message.start);
-    weights.set(message.weights, slots * message.start);
-    depth = new Float32Array(total);
-    keys = new Uint16Array(total);
-    count = total;
+  function add({ start, points, joints, weights, slots }) {
+    const used = new Uint8Array(points.length / 3); // the heaviest joints come first
+    const sizes = new Array(slots + 1).fill(0);
+    for (let i = 0; i < used.length; i++) {
+      let n = 1;
+      while (n < slots && weights[slots * i + n]) n++;
+      used[i] = n;
+      sizes[n]++;
+    }
+    for (let n = 1; n <= slots; n++) {
+      const old = groups[n] ?? { size: 0, ids: new Uint32Array(0), points: new Float32Array(0), pairs: new Uint16Array(0) };
+      const size = old.size + sizes[n];
+      groups[n] = { size: old.size, ids: grown(old.ids, size), points: grown(old.points, 3 * size), pairs: grown(old.pairs, n * size) };
+    }
+    for (let i = 0; i < used.length; i++) {
+      const n = used[i], group = groups[n], at = group.size++;
+      group.ids[at] = start + i;
+      for (let a = 0; a < 3; a++) group.points[3 * at + a] = points[3 * i + a];
+      for (let k = 0; k < n; k++) group.pairs[n * at + k] = 256 * joints[slots * i + k] + weights[slots * i + k];
+    }
+    count = start + used.length;
+    depth = new Float32Array(count);
+    keys = new Uint16Array(count);
   }
 
   // rows: of each joint, the four numbers that take a canonical point to its depth before the camera.
+  function measure(n, { size, ids, points, pairs }, rows, limit) {
+    for (let q = 0, k = 0; q < size && ids[q] < limit; q++) {
+      const x = points[3 * q], y = points[3 * q + 1], z = points[3 * q + 2];
+      let d = 0;
+      for (const end = k + n; k < end; k++) {
+        const pair = pairs[k], r = (pair >> 8) << 2;
+        d += (pair & 255) * (rows[r] * x + rows[r + 1] * y + rows[r + 2] * z + rows[r + 3]);
+      }
+      depth[ids[q]] = d / 255;
+    }
+  }
+
   function sort({ rows, limit, near, buffer }) {
     const n = Math.min(count, limit);
+    groups.forEach((group, joints) => measure(joints, group, rows, n));
     let low = Infinity, high = -Infinity, seen = 0;
     for (let i = 0; i < n; i++) {
-      const x = points[3 * i], y = points[3 * i + 1], z = points[3 * i + 2];
-      let d = 0;
-      for (let k = slots * i; k < slots * i + slots; k++) {
-        const w = weights[k];
-        if (w === 0) continue;
-        const r = 4 * joints[k];
-        d += w * (rows[r] * x + rows[r + 1] * y + rows[r + 2] * z + rows[r + 3]);
-      }
-      d /= 255;
-      depth[i] = d;
+      const d = depth[i];
       if (d > near) {
         seen++;
         if (d < low) low = d;

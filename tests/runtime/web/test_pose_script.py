@@ -135,18 +135,28 @@ def test_what_the_page_cannot_read_is_one_sentence(look, tmp_path, name, data, s
 
 
 def test_the_sort_is_far_to_near(look, tmp_path):
+    """In chunks, of Gaussians that one to six of eight joints move, and that are cut off by a limit."""
     rng = np.random.default_rng(6)
     points = rng.normal(size=(500, 3)).astype(np.float32)
+    weights = np.zeros((500, 8), np.uint8)
+    for row in weights:
+        used = rng.integers(1, 7)
+        row[:used] = np.sort(rng.multinomial(255 - used, np.ones(used) / used) + 1)[::-1]
+    joints, rows = rng.integers(0, 20, (500, 8)), rng.normal(size=(20, 4)).astype(np.float32)
+    rows[:, 3] += 2
     got = run(
         tmp_path,
         "globalThis.self = { postMessage: (m) => { self.told = m; } }; sorterThread();"
-        "self.onmessage({ data: { start: 0, points: Float32Array.from(given.points), joints: new Uint8Array(2000),"
-        "weights: Uint8Array.from({ length: 2000 }, (_, i) => (i % 4 ? 0 : 255)), slots: 4 } });"
-        "self.onmessage({ data: { rows: Float32Array.from([0, 0, 1, 2]), limit: 400, near: 0.01, ticket: 1 } });"
+        "for (const [a, b] of [[0, 3], [3, 300], [300, 500]]) self.onmessage({ data: { start: a, slots: 8,"
+        "points: Float32Array.from(given.points.slice(a, b).flat()), joints: Uint8Array.from(given.joints.slice(a, b)"
+        ".flat()), weights: Uint8Array.from(given.weights.slice(a, b).flat()) } });"
+        "const rows = Float32Array.from(given.rows.flat());"
+        "self.onmessage({ data: { rows, limit: 400, near: 0.01, ticket: 1 } });"
         "return [self.told.seen, Array.from(self.told.order)];",
-        points=points,
+        points=points.tolist(), weights=weights.tolist(), joints=joints.tolist(), rows=rows.tolist(),
     )  # fmt: skip
-    depth = points[:400, 2].astype(np.float64) + 2
+    of_joints = np.einsum("jc,nc->nj", rows.astype(np.float64), np.c_[points, np.ones(500)])
+    depth = (np.take_along_axis(of_joints, joints, 1) * weights / 255).sum(1)[:400]
     seen = depth > 0.01
     assert got[0] == seen.sum()
     assert sorted(got[1][: got[0]]) == np.flatnonzero(seen).tolist()
