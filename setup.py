@@ -114,7 +114,7 @@ def is_mingw(machine: Machine, compiler: list[str]) -> bool:
 def link_command(compiler: list[str], flags: list[str], machine: Machine, folder: Path, output: Path) -> list[str]:
     """The command that links the objects, which come after it, into `output`; files it needs go into `folder`."""
     if uses_cl_flags(compiler):
-        return [*compiler, "/nologo", "/LD", "/MD", f"/Fe:{output}"]
+        return [*compiler, "/nologo", "/LD", "/MD", f"/Fe{output}"]
     command = [*compiler, "-shared", "-pthread", *(f for f in flags if "sanitize" in f), "-o", str(output)]
     if machine.system == "darwin":
         # of a wheel no symbols, which would name the folders of the build
@@ -153,7 +153,7 @@ def compile_library(target: Path, flags: list[str] | None = None, machine: Machi
         for name, source, extra in jobs:
             output = str(Path(folder, f"{name}.o"))
             command = [*compiler, *flags, *extra, f"-I{folder}", "-c", str(SOURCES / source)]
-            command += [f"/Fo:{output}"] if cl else ["-o", output]
+            command += [f"/Fo{output}"] if cl else ["-o", output]
             running.append((subprocess.Popen(command), command, output))
         for process, command, _ in running:
             if process.wait():
