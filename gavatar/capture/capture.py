@@ -2,7 +2,7 @@
 
 On disk (format version 1)::
 
-    capture.json     version, name, license, source, fps, body_model, background, splits
+    capture.json     version, name, license, source, fps, body_model, background, splits; resting optional
     cameras.json     per camera: width, height, fx, fy, cx, cy, world_to_camera (4x4)
     images/CAM/%06d.png|jpg     masks/CAM/%06d.png (8-bit alpha)
     body.npz         AMASS keys: poses (T, 3J), trans, betas, mocap_framerate, gender; expression (T, E) optional
@@ -58,7 +58,7 @@ class Capture:
     images of alpha. moving: the cameras of views whose camera moves, over those of `cameras`. lenses: distortion
     coefficients (OpenCV's k1, k2, p1, p2, k3) by camera: images are straightened when loaded. listing: the file that
     names the views. placement: how the motion is brought to a body, None when it needs no bringing. gender: of
-    the body model, 'neutral' if nothing says.
+    the body model, 'neutral' if nothing says. resting: joints that no image shows and whose pose is a guess.
     """
 
     path: Path
@@ -79,6 +79,7 @@ class Capture:
     listing: str = "capture.json"
     placement: Placement | None = None
     gender: str = "neutral"
+    resting: tuple[str, ...] = ()
 
     def camera(self, view: View) -> Camera:
         """The camera of one view."""
@@ -253,6 +254,8 @@ def _capture_json(path: Path) -> dict:
     background = info.get("background")
     if background and background not in ("white", "footage"):
         faults.add(f"{path / 'capture.json'}: background must be 'white' or 'footage', not {background!r}")
+    if not isinstance(info.get("resting") or [], list):
+        faults.add(f"{path / 'capture.json'}: resting must be a list of names of joints")
     if not isinstance(info.get("splits") or {}, dict):
         faults.add(f"{path / 'capture.json'}: splits must be an object of views by split")
     faults.stop()
@@ -307,4 +310,5 @@ def read_capture(path: str | os.PathLike, faults: Faults | None = None) -> Captu
         image_path=image_path,
         mask_path=mask_path,
         gender=str(info.get("gender", "neutral")),
+        resting=tuple(map(str, info.get("resting") or ())),
     )

@@ -1,6 +1,7 @@
 """From a trained run to a bundle that plays without torch: each step takes a value and gives the next one.
 
-sample -> (drop what is unseen) -> pack -> add tiers -> verify -> measure -> write. No step changes the run it is given.
+sample -> without limbs never filmed -> (drop what is unseen) -> pack -> add tiers -> verify -> measure -> write.
+No step changes the run it is given.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from gavatar_runtime.values.surface import Surface
 from ..measure.tier_costs import CAPTURE, MIXED, describe_tiers, on_front
 from ..registry import DECODERS, ENCODERS, TIERS, split_node
 from ..training.run import Run
+from .half_person import never_filmed
 from .packing import manifest_of, members_of, metadata_of
 from .seen import difference, seen
 from .tier_source import AvatarSource
@@ -99,7 +101,7 @@ def _exported(
 ) -> Bundled:
     """Everything but the writing."""
     check_exportable(run)
-    sampled = sample(run, gaussians)
+    sampled = without_limbs(sample(run, gaussians))
     if drop_unseen:
         sampled = drop(sampled, progress)
     source = AvatarSource(sampled.run, metadata_of(manifest_of(sampled.run)), progress)
@@ -142,6 +144,18 @@ def with_needs(names: Sequence[str], run: Run) -> list[str]:
 def sample(run: Run, gaussians: int | None = None) -> Sampled:
     """The run on so many points, by default on those it was trained with."""
     return Sampled(run if gaussians is None else placed(run, run.built.surface(gaussians)))
+
+
+def without_limbs(sampled: Sampled) -> Sampled:
+    """Without the limbs that its capture never shows. Raises UserError where nothing is left."""
+    hidden = never_filmed(sampled.run)
+    if not hidden.any():
+        return sampled
+    if hidden.all():
+        raise UserError(f"{sampled.run.directory}: no part of the person was seen by the training views")
+    return dataclasses.replace(
+        sampled, run=placed(sampled.run, sampled.run.avatar.surface.take(np.flatnonzero(~hidden)))
+    )
 
 
 def drop(sampled: Sampled, progress: bool = False) -> Sampled:

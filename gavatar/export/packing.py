@@ -55,6 +55,7 @@ def manifest_of(run: Run) -> Manifest:
             "train_views": len(run.capture.views(config.train_split)),
             "points": config.points["name"],
             "seed": config.seed,
+            "not_filmed": list(run.capture.resting),
             "pixel_m": run.pixel and run.pixel / rasterizer.resolution,  # played at the full one
         },
         rasterizer=rasterizer.played_with,

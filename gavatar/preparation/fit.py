@@ -22,12 +22,14 @@ from gavatar_runtime.values.camera import Camera
 from ..body.skeleton import SMPL_BODY_JOINTS, BodyData
 from ..body.torch_rotations import matrix_from_axis_angle
 from .anatomy import joint_ranges
+from .coverage import CERTAIN, covered
 from .initial import Observations, facing, observe, place
-from .landmarks import BONES, MIRROR, OFFSET_SIGMA, Landmarks
+from .landmarks import BONES, INDEX, MIRROR, OFFSET_SIGMA, Landmarks
 from .rig import FitRig, Posed
 from .silhouette import Silhouettes, nearest_to_outline, outline_gap, outside_distance
 
 FEET, SHOULDERS = [7, 8, 10, 11], [16, 17]  # ankles and feet; of the 22 joints that the SMPL family shares
+TRUNK = 1.0  # metres: a pelvis that tips over counts as a trunk of this length that leans
 NEAREST_EVERY = 5  # steps between two searches for the point nearest to the outline, the dearest part of a step
 
 
@@ -71,9 +73,9 @@ class Fit:
     """A fitted body.
 
     poses: (T, J, 3) axis-angle in [0, pi], fingers zero. trans: (T, 3) metres. betas: (B,). image_error: (C, T, 33)
-    pixels between landmarks and their points on the body, NaN where not seen. shift: (C, 2) pixels by which the
-    cameras' principal points moved, zero unless they were to be refined. up: (3,) unit vector against gravity, as the
-    person's balance has it. losses: last value of each term.
+    pixels between landmarks and their points on the body, NaN where they are not seen with some certainty. shift: (C,
+    2) pixels by which the cameras' principal points moved, zero unless they were to be refined. up: (3,) unit vector
+    against gravity, as the person's balance has it. losses: last value of each term.
     """
 
     poses: np.ndarray
@@ -97,7 +99,7 @@ def huber(residual: Tensor, sigma: float) -> Tensor:
 
 
 class BodyFitter:
-    """Holds the unknowns and the observations of one fit; `run` returns the result.
+    """Holds the unknowns and the observations of one fit; `run` returns the result. Limbs that no frame shows rest.
 
     data: the body. cameras, landmarks: one per camera, same T. silhouettes: one per camera, or None
     to fit without masks. fps: frames per second. Raises UserError when no frame shows enough of the person.
@@ -122,6 +124,8 @@ class BodyFitter:
         self.frames = len(root)
         ranges = joint_ranges(tuple(data.joint_names))
         self.low, self.high, self.mean, self.sigma = (_tensor(v[1:SMPL_BODY_JOINTS]) for v in ranges)
+        resting = covered(cameras, landmarks).resting
+        self.moving = _tensor([[name not in resting] for name in data.joint_names[1:SMPL_BODY_JOINTS]])
         self._unknowns(root, trans)
         self._observations(seen)
         self.silhouettes = silhouettes
@@ -141,6 +145,8 @@ class BodyFitter:
 
     def _observations(self, seen: Observations) -> None:
         self.image, self.visibility = _tensor(seen.image), _tensor(seen.visibility) ** 2
+        ankles = seen.visibility[..., [INDEX["left_ankle"], INDEX["right_ankle"]]]
+        self.standing = _tensor((ankles > CERTAIN).any((0, 2)))
         a, b = np.array(BONES).T
         bones = seen.world[..., b, :] - seen.world[..., a, :]
         length = np.linalg.norm(bones, axis=-1, keepdims=True)
@@ -208,17 +214,24 @@ class BodyFitter:
 
     def _lean(self, body: Posed) -> Tensor:
         """(T, 3) metres, level: how far the trunk stands beside the middle of the feet. People seldom stand so that
-        they would fall, which one camera cannot see when they lean towards it. Held loosely: walking is falling."""
+        they would fall, which one camera cannot see when they lean towards it. Held loosely: walking is falling.
+        Where no foot is seen, how far the pelvis tips over in the world as it was guessed."""
         trunk = 0.5 * (body.joints[:, 0] + body.joints[:, SHOULDERS].mean(1))
         lean, up = trunk - body.joints[:, FEET].mean(1), self.up()
-        return lean - (lean @ up)[:, None] * up
+        tipped = TRUNK * body.rotations[:, 0, :, 1] * torch.tensor([1.0, 0.0, 1.0])
+        return torch.where(self.standing[:, None] > 0, lean - (lean @ up)[:, None] * up, tipped)
 
     def _silhouette_terms(self, c: int, silhouettes: Silhouettes, surface: Tensor) -> tuple[Tensor, Tensor]:
         options = self.options
         pixels, depth = self.project(c, surface)
         metres = depth.detach().mean(1, keepdim=True) / self.K[c][0]
-        # vertices are all counted: a whole limb outside costs more than a finger
-        inside = huber(outside_distance(silhouettes, pixels) * metres, options.inside_sigma).mean() * 4
+        # vertices are all counted: a whole limb outside costs more than a finger; but of what lies beside the picture
+        # no mask says anything
+        width, height = silhouettes.size
+        x, y = pixels.detach().unbind(-1)
+        pictured = (x >= 0) & (y >= 0) & (x <= width) & (y <= height)
+        inside = huber(outside_distance(silhouettes, pixels) * metres, options.inside_sigma)
+        inside = (inside * pictured).mean() * 4
         if self.nearest_age[c] % NEAREST_EVERY == 0:
             self.nearest[c] = nearest_to_outline(silhouettes, pixels)
         self.nearest_age[c] += 1
@@ -264,6 +277,8 @@ class BodyFitter:
                 weights = self._weights(stage, step / steps)
                 total = sum((weights[k] * v for k, v in terms.items()), torch.zeros(()))
                 total.backward()
+                if self.poses.grad is not None:
+                    self.poses.grad *= self.moving
                 optimizer.step()
                 schedule.step()
                 with torch.no_grad():
@@ -293,7 +308,7 @@ class BodyFitter:
         error = []
         for c in range(len(self.cameras)):
             miss = (self.project(c, body.landmarks)[0] - self.image[c]).norm(dim=-1)
-            error.append(torch.where(self.visibility[c] > 0, miss, torch.nan).numpy())
+            error.append(torch.where(self.visibility[c] > CERTAIN**2, miss, torch.nan).numpy())
         trans, betas, up = (value.double().numpy() for value in (self.trans, self.betas, self.up()))
         up /= np.linalg.norm(up)  # it was of unit length in float32
         return Fit(poses, trans, betas, np.stack(error), self.shift.numpy(), up, losses)

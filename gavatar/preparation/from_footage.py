@@ -94,7 +94,12 @@ def prepare(
             options=FitOptions(stature=height, refine_cameras=refine_cameras, num_betas=num_betas), preview=preview,
             progress=progress,
         )  # fmt: skip
-    return PreparedCapture(out, opened.description, tuple(opened.notes), quality)
+    notes = tuple(opened.notes)
+    part = quality.coverage.sentence()
+    if part is not None:
+        say(f"note: {part}")
+        notes += (part,)
+    return PreparedCapture(out, opened.description, notes, quality)
 
 
 def _path(path: PathLike | None) -> Path | None:

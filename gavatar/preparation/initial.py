@@ -11,10 +11,13 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, rotation_between, slerp
 from gavatar_runtime.values.camera import Camera
 
+from .coverage import in_picture
 from .landmarks import INDEX, MIRROR, Landmarks
 
 DEFAULT_FOV = 40.0  # degrees over the image's longer side: between a phone's main lens (65) and a portrait shot (25)
 _TORSO = [INDEX[f"{side}_{part}"] for part in ("shoulder", "hip") for side in ("left", "right")]
+_SHOULDERS, _HIPS = _TORSO[:2], _TORSO[2:]
+GUESSED_HIPS = 0.3  # what a torso counts whose shoulders alone are seen: the network guesses where its hips are
 
 
 def guess_camera(width: int, height: int, fov: float = DEFAULT_FOV) -> Camera:
@@ -27,7 +30,8 @@ def guess_camera(width: int, height: int, fov: float = DEFAULT_FOV) -> Camera:
 class Observations:
     """What C cameras saw in T frames, in undistorted pixels and world axes.
 
-    image: (C, T, 33, 2). visibility: (C, T, 33). world: (C, T, 33, 3) around the hips, world axes.
+    image: (C, T, 33, 2). visibility: (C, T, 33), 0 out of the picture. world: (C, T, 33, 3) around the hips, world
+    axes.
     world_weight: (C, T), 0 where a camera's estimate of depth was rejected.
     """
 
@@ -94,11 +98,12 @@ def observe(cameras: list[Camera], landmarks: list[Landmarks], fps: float) -> Ob
     image, visibility, world, weight = [], [], [], []
     for camera, marks in zip(cameras, landmarks, strict=True):
         marks = dataclasses.replace(marks, world=np.einsum("tab,tkb->tka", rays(camera, marks), marks.world))
-        seen = marks.visibility[:, _TORSO].min(1) > 0.1
+        seen = marks.visibility[:, _SHOULDERS].min(1) > 0.1
         flipped, swapped = unflip(marks.world, seen, fps)
         order = np.where(swapped[:, None], MIRROR, np.arange(33))
         image.append(np.take_along_axis(marks.image, order[..., None], 1))
-        visibility.append(np.take_along_axis(marks.visibility, order, 1))
+        shown = np.where(in_picture(camera, marks.image), marks.visibility, 0)  # of the rest it is a guess
+        visibility.append(np.take_along_axis(shown, order, 1))
         points = np.take_along_axis(marks.world, order[..., None], 1)
         world.append(points @ camera.T_camera_world[:3, :3])
         weight.append(1.0 - flipped)
@@ -141,20 +146,22 @@ def facing(cameras: list[Camera], seen: Observations, rest: np.ndarray, fps: flo
     """(T, 3, 3) first guess of the body's global orientation in the world, smooth over time.
 
     rest: (33, 3) the landmarks on the body in its rest pose. From triangulated points where several cameras see the
-    torso, else from the world landmarks; frames without either are filled from their neighbours.
-    Raises UserError when no frame shows the torso.
+    torso, else from the world landmarks; frames without either are filled from their neighbours. Shoulders alone say
+    it too, less surely. Raises UserError when no frame shows them.
     """
-    weight = seen.visibility[:, :, _TORSO].min(-1) * (0.05 + 0.95 * seen.world_weight)
+    shoulders, hips = (seen.visibility[:, :, points].min(-1) for points in (_SHOULDERS, _HIPS))
+    weight = shoulders * np.maximum(hips, GUESSED_HIPS) * (0.05 + 0.95 * seen.world_weight)
     R = np.einsum("ct,ctab->tab", weight, torso_frames(seen.world))
     total = weight.sum(0)
     if len(cameras) > 1:
         points, certain = triangulate(cameras, seen)
         strong = certain[:, _TORSO].min(1) > 0.5
         R[strong], total[strong] = torso_frames(points[strong]), 1
-    if not (total > 0.05).any():
-        raise UserError("the landmarks show shoulders and hips in no frame: nothing to fit a body to")
-    R = _nearest_rotation(np.where((total > 0.05)[:, None, None], R, np.eye(3)))
-    return _smoothed(_filled(R, total > 0.05), fps) @ torso_frames(rest).T
+    sure = total > 0.05
+    if not sure.any():
+        raise UserError("the landmarks show the shoulders in no frame: nothing to fit a body to")
+    R = _nearest_rotation(np.where(sure[:, None, None], R, np.eye(3)))
+    return _smoothed(_filled(R, sure), fps) @ torso_frames(rest).T
 
 
 def _nearest_rotation(M: np.ndarray) -> np.ndarray:

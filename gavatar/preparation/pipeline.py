@@ -13,26 +13,33 @@ from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.motion import Motion
 
 from ..body.skeleton import BodyData
+from .coverage import Coverage, covered
 from .fit import BodyFitter, Fit, FitOptions
 from .footage_source import Source
 from .initial import DEFAULT_FOV, guess_camera
+from .landmarks import Landmarks
 from .silhouette import prepare_silhouettes
 from .write import CaptureFacts, write_capture
+
+MEETS = 0.15  # most that landmarks may be off, of the size in which they are seen: 0.01 to 0.02 where a body fits
 
 
 @dataclasses.dataclass(frozen=True)
 class Quality:
-    """How well the body fits. image_error: (C, T, 33) pixels, NaN where not seen. iou: (C, T)."""
+    """How well the body fits. image_error: (C, T, 33) pixels, NaN where not seen. iou: (C, T). coverage: what of the
+    person was seen."""
 
     image_error: np.ndarray
     iou: np.ndarray
+    coverage: Coverage = dataclasses.field(default_factory=Coverage)
 
     def sentence(self) -> str:
-        """Both in one line, for a user."""
+        """All in one line, for a user."""
         seen = self.image_error[np.isfinite(self.image_error)]
         worst = np.unravel_index(self.iou.argmin(), self.iou.shape)
+        part = "" if self.coverage.whole else f"{self.coverage.fitted}; "
         return (
-            f"landmarks off by {np.median(seen):.1f} px (median), {np.percentile(seen, 95):.1f} px (95 %); "
+            f"{part}landmarks off by {np.median(seen):.1f} px (median), {np.percentile(seen, 95):.1f} px (95 %); "
             f"silhouette IoU {self.iou.mean():.3f} (mean), {self.iou.min():.3f} (worst, frame {worst[1]})"
         )
 
@@ -62,7 +69,9 @@ def fit_and_write(
     landmarks = [f.landmarks for f in source.footage]
     if options is not None and options.refine_cameras and not known:
         raise UserError("`refine_cameras` is for calibrated cameras, but this camera is unknown: leave it out")
+    coverage = covered(cameras, landmarks)
     fit = BodyFitter(data, cameras, landmarks, silhouettes, source.fps, options).run(progress)
+    require_meeting(fit, cameras, landmarks)
     if not known:
         fit, cameras = settle(data, fit, cameras)
     cameras = [
@@ -70,8 +79,27 @@ def fit_and_write(
         for c, (x, y) in zip(cameras, fit.shift, strict=True)
     ]
     motion = Motion(fit.poses, fit.trans, source.fps, fit.betas, facts.name)
+    facts = dataclasses.replace(facts, resting=coverage.resting)
     scores = write_capture(out, source, cameras, data, motion, facts, overwrite, preview, progress)
-    return Quality(fit.image_error, scores)
+    return Quality(fit.image_error, scores, coverage)
+
+
+def require_meeting(fit: Fit, cameras: list[Camera], landmarks: list[Landmarks]) -> None:
+    """UserError where the fitted body lies elsewhere than its landmarks."""
+    known = np.isfinite(fit.image_error)
+    sizes = []
+    for c, marks in enumerate(landmarks):
+        for points, seen in zip(marks.image, known[c], strict=True):
+            if seen.sum() > 1:
+                sizes.append(np.linalg.norm(np.ptp(points[seen], axis=0)))
+    if not sizes:
+        raise UserError("no frame shows enough of the person: film at least head and shoulders")
+    off, size = np.median(fit.image_error[known]), np.median(sizes)
+    if off > MEETS * size:
+        raise UserError(
+            f"the body does not fit what was found: its landmarks are off by {off:.0f} pixels on a person of "
+            f"{size:.0f} (median); film one person, upright, at least head and shoulders"
+        )
 
 
 def settle(data: BodyData, fit: Fit, cameras: list[Camera]) -> tuple[Fit, list[Camera]]:

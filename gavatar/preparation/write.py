@@ -32,7 +32,8 @@ HELD_OUT_EVERY, HELD_OUT_FIRST = 10, 5  # frames 5, 15, 25, ... are for testing
 
 @dataclasses.dataclass(frozen=True)
 class CaptureFacts:
-    """What capture.json says beside the numbers. holdout_camera: kept for novel views, or None."""
+    """What capture.json says beside the numbers. holdout_camera: kept for novel views, or None. resting: joints whose
+    rotation no frame shows."""
 
     name: str
     body_model: str
@@ -40,6 +41,7 @@ class CaptureFacts:
     source: str = ""
     holdout_camera: str | None = None
     gender: str = "neutral"
+    resting: tuple[str, ...] = ()
 
 
 @contextlib.contextmanager
@@ -121,6 +123,8 @@ def write_capture(
             "units": "metres, radians", "world": "y-up",
             "splits": make_splits(names, len(motion), facts.holdout_camera),
         }  # fmt: skip
+        if facts.resting:
+            info["resting"] = list(facts.resting)
         write_json(folder / "capture.json", info)
     return scores
 
