@@ -70,7 +70,7 @@ class Coverage:
 
 def in_picture(camera: Camera, image: np.ndarray) -> np.ndarray:
     """(...) bool: which points (..., 2) lie in the camera's picture."""
-    return ((image >= 0) & (image <= [camera.width, camera.height])).all(-1)
+    return np.all((image >= 0) & (image <= [camera.width, camera.height]), axis=-1)
 
 
 def covered(cameras: Sequence[Camera], landmarks: Sequence[Landmarks]) -> Coverage:
