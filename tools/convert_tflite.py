@@ -1,7 +1,8 @@
-"""Convert MediaPipe's pose networks from .tflite to ONNX, once; the results lie in gavatar/data/pose.
+"""Convert MediaPipe's networks of bodies, hands and faces from .tflite to ONNX, once; the results lie in
+gavatar/data/pose, hands and face.
 
     pip install ai-edge-litert onnx
-    pip download --no-deps mediapipe==0.10.21 && unzip mediapipe-0.10.21-*.whl 'mediapipe/modules/pose_*'
+    pip download --no-deps mediapipe==0.10.21 && unzip mediapipe-0.10.21-*.whl 'mediapipe/modules/*.tflite'
     python tools/convert_tflite.py mediapipe/modules/pose_detection/pose_detection.tflite pose_detection.onnx
 
 Weights stay float16 as in the source and are cast when the session is made. tests/peers/test_pose_networks.py holds
@@ -153,6 +154,52 @@ class Converter:
         inputs = [self.operand(i) for i in op.inputs]
         self.fused("Concat", inputs, self.name(op.outputs[0]), options.fusedActivationFunction, axis=axis)
 
+    def mean(self, op, options) -> None:
+        data, output = op.inputs[0], self.name(op.outputs[0])
+        axes = np.asarray(self.value(op.inputs[1])).reshape(-1) % len(self.shape(data))
+        if len(self.shape(data)) == 4:
+            axes = [TO_NCHW.index(int(axis)) for axis in axes]
+            if not options.keepDims and len(axes) < 3 and sorted(axes) != [2, 3]:
+                raise NotImplementedError("a mean that leaves rows or columns without keeping their number")
+        self.add("ReduceMean", [self.operand(data)], output, axes=[int(axis) for axis in axes],
+                 keepdims=int(options.keepDims))  # fmt: skip
+
+    def fully_connected(self, op, options) -> None:
+        data, weight = op.inputs[:2]
+        output, source = self.name(op.outputs[0]), self.operand(data)
+        W = self.value(weight)
+        if len(self.shape(data)) != 2:
+            if len(self.shape(data)) == 4:
+                source = self.add("Transpose", [source], output + "_nhwc", perm=TO_NHWC)
+            source = self.add("Reshape", [source, self.integers(output + "_rows", [-1, W.shape[1]])], output + "_flat")
+        inputs = [source, self.weight(self.name(weight), W)]
+        if len(op.inputs) > 2 and op.inputs[2] >= 0:
+            inputs.append(self.operand(op.inputs[2]))
+        self.fused("Gemm", inputs, output, options.fusedActivationFunction, transB=1)
+
+    def prelu(self, op) -> None:
+        slope = self.name(op.inputs[1])
+        if slope not in self.initializers and slope + "_f16" not in self.initializers:
+            array = self.value(op.inputs[1])  # (1, 1, C) beside activations of (1, C, H, W)
+            self.weight(slope, array.reshape(-1, 1, 1) if array.size == array.shape[-1] else array.transpose(2, 0, 1))
+        self.add("PRelu", [self.operand(op.inputs[0]), slope], self.name(op.outputs[0]))
+
+    def strided_slice(self, op, options) -> None:
+        if options.ellipsisMask or options.newAxisMask or options.shrinkAxisMask:
+            raise NotImplementedError("a slice that adds or drops axes")
+        shape = self.shape(op.inputs[0])
+        begin, end, step = (np.array(self.value(i), np.int64) for i in op.inputs[1:4])
+        if (step < 1).any():
+            raise NotImplementedError("a slice that runs backwards")
+        for axis in range(len(shape)):
+            begin[axis] = 0 if options.beginMask >> axis & 1 else begin[axis]
+            end[axis] = shape[axis] if options.endMask >> axis & 1 else end[axis]
+        axes = [TO_NCHW.index(axis) for axis in range(4)] if len(shape) == 4 else list(range(len(shape)))
+        output = self.name(op.outputs[0])
+        parts = {"begin": begin, "end": end, "axes": axes, "step": step}
+        names = [self.integers(f"{output}_{key}", value) for key, value in parts.items()]
+        self.add("Slice", [self.operand(op.inputs[0]), *names], output)
+
     def operator(self, op) -> None:
         code = self.codes[op.opcodeIndex]
         kind = NAMES[max(code.builtinCode, code.deprecatedBuiltinCode)]
@@ -172,6 +219,14 @@ class Converter:
             self.resize(op, options)
         elif kind == "DEPTH_TO_SPACE":
             self.add("DepthToSpace", [self.operand(op.inputs[0])], output, blocksize=options.blockSize, mode="DCR")
+        elif kind == "STRIDED_SLICE":
+            self.strided_slice(op, options)
+        elif kind == "MEAN":
+            self.mean(op, options)
+        elif kind == "FULLY_CONNECTED":
+            self.fully_connected(op, options)
+        elif kind == "PRELU":
+            self.prelu(op)
         elif kind == "LOGISTIC":
             self.add("Sigmoid", [self.operand(op.inputs[0])], output)
         elif kind in ("PAD", "RESHAPE"):
@@ -210,7 +265,7 @@ def _builtin_resolver():
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Convert one of MediaPipe's pose networks from .tflite to ONNX.")
+    parser = argparse.ArgumentParser(description="Convert one of MediaPipe's networks from .tflite to ONNX.")
     parser.add_argument("source", type=Path)
     parser.add_argument("target", type=Path)
     arguments = parser.parse_args()
