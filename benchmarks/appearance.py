@@ -92,9 +92,7 @@ def STUDIES() -> dict[str, list[Variant]]:
         ],
         "masks": [
             Variant("true masks", STATIC, run="static"),
-            Variant("true masks, mask_edge 4", ["mask_edge=4", *STATIC]),
             Variant("masks too wide", STATIC, fault="wide_mask"),
-            Variant("masks too wide, mask_edge 4", ["mask_edge=4", *STATIC], fault="wide_mask"),
             Variant("masks too wide, mask_matte 5", ["mask_matte=5", *STATIC], fault="wide_mask"),
             auto("masks too wide", "wide_mask"),
             Variant("masks too narrow", STATIC, fault="narrow_mask"),
@@ -289,7 +287,7 @@ PANELS = (
     (
         View("cam0", 60),
         (190, 90, 160),
-        [("masks_too_wide", False), ("masks_too_wide_mask_edge_4", False), ("masks_too_wide_mask_matte_5", False)],
+        [("masks_too_wide", False), ("masks_too_wide_mask_matte_5", False)],
     ),
     (View("cam0", 28), (75, 140, 220), [("front_only", False)]),
 )

@@ -23,7 +23,11 @@ from .registry import BODIES, DECODERS, ENCODERS, POINTS, RASTERIZERS, fill_conf
 PRECISIONS = ("auto", "float32", "bfloat16")
 DYNAMICS = ("always", "auto")
 # settings of earlier versions, and what became of them
-FORMER_SETTINGS = {"fill_unseen": "parts that were hardly filmed always take on what is around them"}
+FORMER_SETTINGS = {
+    "fill_unseen": "parts that were hardly filmed always take on what is around them",
+    "mask_edge": "masks that are measured to be too wide are found anew (mask_matte)",
+    "encoder_from": "the pose encoder learns in stage 2",
+}
 AUTO = "auto"  # of a remedy: decided by what is measured on the footage
 DRAWS = ("new", "alike")
 
@@ -44,8 +48,7 @@ class StageConfig:
     """One training stage. steps: optimiser steps (0 skips the stage). batch: views a step. lr_*: learning rates.
     lr_final: the last rate as a fraction of the first, reached by a cosine. levels: coarse to fine. In stage 2
     lr_features is 0 unless asked for: the feature tensor is frozen, as published; with lr_decoder 0 too all texture is.
-    encoder_from: fraction of stage 1 from which the pose encoder learns beside the look, which then need not explain
-    what light and folds do; 1: not in stage 1."""
+    """
 
     steps: int = 1000
     batch: int = 4
@@ -53,7 +56,6 @@ class StageConfig:
     lr_features: float = 2e-2
     lr_encoder: float = 1e-3
     lr_final: float = 0.05
-    encoder_from: float = 1.0
     levels: list[LevelConfig] = dataclasses.field(default_factory=lambda: [LevelConfig(gaussians=10_000)])
 
 
@@ -99,9 +101,9 @@ class TrainConfig:
     precision: of the decoder's products while training, `float32`, `bfloat16` or `auto`, the faster one here.
     draw: while the pose encoder learns, views are drawn by how `new` their pose is, so that one that recurs counts
     little more than once, or all `alike`.
-    overwrite: start afresh even if `out` holds another run. mask_edge: pixels inside the border of every mask that no
-    loss looks at, against the rim that masks cut too wide leave; mask_matte: pixels inside the border, or below zero
-    outside it, in which it is found anew from the footage's colours, where masks are too wide or too narrow. exposure:
+    overwrite: start afresh even if `out` holds another run. mask_matte: pixels
+    inside the border of every mask, or below zero outside it, in which it is found anew from the footage's colours,
+    where masks are too wide or too narrow. exposure:
     learn a gain for every training view, where the footage's brightness drifts. Both are `auto`: measured on the
     footage and chosen by that.
     dynamics: `always` keeps what stage 2 learns; `auto` only if it gains `dynamics_gain` dB on training views in poses
@@ -119,7 +121,6 @@ class TrainConfig:
     crop: bool = True
     train_split: str = "train"
     draw: str = "new"
-    mask_edge: float = 0.0
     mask_matte: Any = AUTO
     exposure: Any = AUTO
     dynamics: str = "auto"
@@ -167,7 +168,7 @@ def check(config: DictConfig) -> TrainConfig:
     typed.avatar = AvatarConfig(**plain["avatar"])
     typed.motion = MotionConfig(**plain["motion"])
     for stage in ("stage1", "stage2"):
-        values = dict(plain[stage])
+        values = {key: value for key, value in plain[stage].items() if key not in FORMER_SETTINGS}
         values["levels"] = [LevelConfig(**level) for level in values["levels"]]
         setattr(typed, stage, StageConfig(**values))
         _check_stage(stage, getattr(typed, stage))
@@ -180,8 +181,6 @@ def check(config: DictConfig) -> TrainConfig:
         raise UserError(f"background must be random, white or black, not '{typed.background}'")
     if typed.draw not in DRAWS:
         raise UserError(f"draw must be {' or '.join(DRAWS)}, not '{typed.draw}'")
-    if not 0 <= typed.mask_edge < math.inf:
-        raise UserError(f"mask_edge must be a number of pixels, 0 or more, not {typed.mask_edge}")
     if not (typed.mask_matte == AUTO or is_number(typed.mask_matte)):
         raise UserError(f"mask_matte must be auto or a number of pixels, not {typed.mask_matte!r}")
     check_choice("exposure", typed.exposure)
@@ -222,8 +221,6 @@ def check_choice(name: str, value: Any) -> None:
 def _check_stage(name: str, stage: StageConfig) -> None:
     if stage.steps < 0 or stage.batch < 1:
         raise UserError(f"{name}.steps must be at least 0 and {name}.batch at least 1")
-    if not 0 <= stage.encoder_from <= 1:
-        raise UserError(f"{name}.encoder_from must be a fraction of the stage, not {stage.encoder_from}")
     if not stage.levels:
         raise UserError(f"{name}.levels must list at least one level")
     ends = [level.until for level in stage.levels]

@@ -49,9 +49,7 @@ class Evaluator:
     def scene(self, views: Sequence[View], motion: Motion) -> Scene:
         """The avatar in the poses of `motion`, and the footage of `views` as it would be trained on."""
         run, config = self.run, self.run.config
-        footage = FootageSource(
-            run.capture, list(views), crop=config.crop, mask_edge=config.mask_edge, mask_matte=config.mask_matte
-        )
+        footage = FootageSource(run.capture, list(views), crop=config.crop, mask_matte=config.mask_matte)
         table = MotionTable(motion, run.built.body.data.num_joints, config.motion.joints).to(self.device)
         return Scene(run.built, self.rasterize, footage, table)
 

@@ -41,14 +41,12 @@ class Footage:
     """Views of a capture at one image scale, cropped to windows of one common size.
 
     views: V views. cameras: their (cropped) cameras. color: (V, 3, H, W) uint8 premultiplied. alpha: (V, H, W) uint8.
-    known: (V, H, W) uint8, 0 where footage and mask are not believed (see `edge_known`), None where all is.
     """
 
     views: list[View]
     cameras: list[Camera]
     color: Tensor
     alpha: Tensor
-    known: Tensor | None = None
 
     def batch(self, rows: list[int], background: Tensor, device: torch.device) -> tuple[Tensor, Tensor]:
         """(B, 3, H, W) footage composited over `background` (3,) and (B, H, W) masks, float32 in [0, 1]."""
@@ -56,27 +54,11 @@ class Footage:
         alpha = self.alpha[rows].to(device).float() / 255
         return color + (1 - alpha[:, None]) * background[:, None, None].to(device), alpha
 
-    def believed(self, rows: list[int], seen: Comparison) -> Comparison:
-        """The views in `rows` with what the footage shows replaced by what is drawn where the footage is not believed,
-        and the gradient of the drawing stopped there: no loss says anything about such a pixel, whatever its windows or
-        networks look at."""
-        if self.known is None:
-            return seen
-        known = self.known[rows].to(seen.target.device).float() / 255
-        all_known = known[:, None].expand_as(seen.target)
-        render, alpha = seen.render.detach(), seen.alpha.detach()
-        return Comparison(
-            target=torch.lerp(render, seen.target, all_known),
-            render=torch.lerp(render, seen.render, all_known),
-            mask=torch.lerp(alpha, seen.mask, known),
-            alpha=torch.lerp(alpha, seen.alpha, known),
-        )
-
 
 class FootageSource:
     """The images of some views of a capture at any scale, decoded at most once, when they are first asked for.
 
-    crop, mask_edge, mask_matte: as in `TrainConfig`. bar: shows how far the decoding is.
+    crop, mask_matte: as in `TrainConfig`. bar: shows how far the decoding is.
     """
 
     def __init__(
@@ -85,12 +67,11 @@ class FootageSource:
         views: list[View],
         *,
         crop: bool = True,
-        mask_edge: float = 0,
         mask_matte: float = 0,
         bar: Callable[[Iterable], Iterable] = iter,
     ):
         self.capture, self.views = capture, views
-        self.crop, self.mask_edge, self.mask_matte, self.bar = crop, mask_edge, mask_matte, bar
+        self.crop, self.mask_matte, self.bar = crop, mask_matte, bar
         self._full: list[tuple[np.ndarray, np.ndarray]] | None = None
         self._latest: tuple[float, Footage] | None = None
 
@@ -99,7 +80,7 @@ class FootageSource:
         if self._latest is None or self._latest[0] != scale:
             if self._full is None:
                 self._full = load_full(self.capture, self.views, self.bar, self.mask_matte)
-            images = footage(self.capture, self.views, self._full, scale, self.crop, self.mask_edge)
+            images = footage(self.capture, self.views, self._full, scale, self.crop)
             self._latest = scale, images
         return self._latest[1]
 
@@ -123,37 +104,22 @@ def load_full(
     return images
 
 
-def edge_known(alpha: np.ndarray, width: float) -> np.ndarray:
-    """(H, W) uint8, 0 in the band of the mask (H, W) uint8 that lies within `width` pixels of its border, else 255.
-
-    There a mask that is cut too wide shows background, which would become a rim of the avatar. The image's own border
-    is no border of the person.
-    """
-    inside = (alpha > 127).astype(np.uint8)
-    if inside.all():
-        return np.full(alpha.shape, 255, np.uint8)
-    distance = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)  # to the nearest pixel outside
-    return np.where((alpha > 0) & (distance <= width), 0, 255).astype(np.uint8)
-
-
 def footage(
     capture: Capture,
     views: list[View],
     full: list[tuple[np.ndarray, np.ndarray]],
     scale: float,
     crop: bool,
-    mask_edge: float = 0,
 ) -> Footage:
     """The images of `load_full` resized by `scale` (area-averaged) and, if `crop`, cut to the person.
 
-    mask_edge: pixels of the full image within which a mask's border is not believed (`edge_known`). Every window has
-    the size of the largest person plus a margin of an eighth on each side, so that a body still out of place is seen;
-    sides are multiples of 16 when cropped.
+    Every window has the size of the largest person plus a margin of an eighth on each side, so that a body still out of
+    place is seen; sides are multiples of 16 when cropped.
     """
     sized: list[tuple[Any, ...]] = []
     for view, (color, alpha) in zip(views, full, strict=True):
         camera = capture.camera(view).scaled(scale)
-        images = [color, alpha] + ([edge_known(alpha, mask_edge)] if mask_edge > 0 else [])
+        images = [color, alpha]
         size = (camera.width, camera.height)
         if size != (color.shape[1], color.shape[0]):
             mode = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
@@ -161,13 +127,12 @@ def footage(
         sized.append((camera, *images))
     if crop:
         sized = _crop(sized)
-    cameras, colors, alphas, *known = zip(*sized, strict=True)
+    cameras, colors, alphas = zip(*sized, strict=True)
     return Footage(
         views,
         list(cameras),
         torch.from_numpy(np.stack(colors)).permute(0, 3, 1, 2).contiguous(),
         torch.from_numpy(np.stack(alphas)),
-        torch.from_numpy(np.stack(known[0])) if known else None,
     )
 
 

@@ -19,11 +19,10 @@ class Plan:
     while the pose encoder learns, it draws views by how new their pose is, else each alike.
     preview_every, save_every: steps.
 
-    What learns. dynamic: the stage is about the pose encoder; encoder_from: fraction of the stage from which the avatar
-    is drawn with it and it learns, 1 for never. learns_decoder, learns_features, learns_exposure, learns_shape: true
-    where it does. poses_move: the poses are refined, by pose_rates in radians and metres a step, within the fractions
-    `window` of the stage, with the options `motion`. narrowing: neighbouring frames share less and less of their
-    corrections, else as little as at the end of a stage that narrows.
+    What learns. dynamic: the avatar is drawn with the pose encoder, and it learns. learns_decoder, learns_features,
+    learns_exposure, learns_shape: true where it does. poses_move: the poses are refined, by pose_rates in radians and
+    metres a step, within the fractions `window` of the stage, with the options `motion`. narrowing: neighbouring
+    frames share less and less of their corrections, else as little as at the end of a stage that narrows.
 
     Remedies. Before exposure_step and shape_step it is decided whether these are learnt, None where that is settled.
     waits: when poses begin to move is decided before all. mend_step: before which outliers are mended, None for never.
@@ -40,7 +39,6 @@ class Plan:
     background: str
     draws_new: bool
     dynamic: bool
-    encoder_from: float
     learns_decoder: bool
     learns_features: bool
     learns_exposure: bool
@@ -61,22 +59,13 @@ class Plan:
     preview_every: int
     save_every: int
 
-    def encodes_at(self, progress: float) -> bool:
-        """Whether the pose encoder learns at `progress`, 0 to 1, of the stage."""
-        return progress >= self.encoder_from and self.encoder_from < 1
-
-    def pose_rates_at(self, progress: float) -> tuple[float, float]:
-        """Radians and metres a step, before the schedule: faster once light and cloth are known."""
-        return self.pose_rates if self.encodes_at(progress) else (self.motion.lr, self.motion.lr_trans)
-
     def poses_move_at(self, progress: float) -> bool:
         """Whether poses are refined at `progress`, 0 to 1, of the stage."""
         return self.poses_move and self.window[0] <= progress <= self.window[1]
 
     def sharing(self, progress: float, span: float) -> float:
         """Seconds over which the frames of a capture of `span` seconds share their corrections."""
-        alone = progress / self.encoder_from if self.encoder_from > 0 else 1.0  # of the part without the encoder
-        return sharing_width(self.motion, min(1.0, alone) if self.narrowing else 1.0, span)
+        return sharing_width(self.motion, progress if self.narrowing else 1.0, span)
 
     @property
     def image(self) -> float:
@@ -132,13 +121,12 @@ def appearance(config: TrainConfig, dynamic: bool = False) -> Plan:
         background=config.background,
         draws_new=config.draw == "new",
         dynamic=False,
-        encoder_from=config.stage1.encoder_from if dynamic else 1.0,
         learns_decoder=True,
         learns_features=True,
         learns_exposure=config.exposure is True,
         learns_shape=motion.enabled and motion.betas is True,
         poses_move=motion.enabled,
-        pose_rates=(motion.stage2 * motion.lr, motion.stage2_trans * motion.lr_trans),
+        pose_rates=(motion.lr, motion.lr_trans),
         window=(motion.start, motion.end),
         narrowing=True,
         mend_step=step_at(motion.mend, mends),
@@ -166,7 +154,6 @@ def dynamics(config: TrainConfig) -> Plan:
         background=config.background,
         draws_new=config.draw == "new",
         dynamic=True,
-        encoder_from=0.0,
         learns_decoder=config.stage2.lr_decoder > 0,
         learns_features=config.stage2.lr_features > 0,
         learns_exposure=False,

@@ -146,11 +146,11 @@ class Scene:
         self, rows: Sequence[int], scale: float, attributes: Attributes, *, background: Tensor = WHITE,
         pose: Pose | None = None,
     ) -> Comparison:  # fmt: skip
-        """The views in `rows` beside what `render` draws of them, alike where the footage is not believed."""
+        """The views in `rows` beside what `render` draws of them."""
         footage = self.footage.at(scale)
         target, mask = footage.batch(list(rows), background, self.device)
         render, alpha = self.render(rows, scale, attributes, background=background, pose=pose)
-        return footage.believed(list(rows), Comparison(target, render, mask, alpha))
+        return Comparison(target, render, mask, alpha)
 
     @torch.no_grad()
     def errors(

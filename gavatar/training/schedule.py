@@ -16,11 +16,9 @@ def level_at(stage: StageConfig, step: int) -> LevelConfig:
     return next(level for level in stage.levels if fraction <= level.until)
 
 
-def lr_factor(stage: StageConfig, step: int, again: float = 1.0) -> float:
-    """Cosine from 1 to `lr_final` over the stage; twice if it begins anew at the fraction `again` of the stage."""
-    anew = math.ceil(again * stage.steps)
-    first, last = (anew, stage.steps) if step >= anew else (0, anew)
-    fraction = (step - first) / max(1, last - first - 1)
+def lr_factor(stage: StageConfig, step: int) -> float:
+    """Cosine from 1 to `lr_final` over the stage."""
+    fraction = step / max(1, stage.steps - 1)
     return stage.lr_final + (1 - stage.lr_final) * 0.5 * (1 + math.cos(math.pi * min(1.0, fraction)))
 
 

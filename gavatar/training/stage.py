@@ -66,8 +66,7 @@ class Stage:
         self.rows = self.learning if plan.dynamic else list(views)
         self._fine_part = FinePart()
         self._still: tuple[Surface, Tensor] | None = None  # colours of the one look, and where
-        self.shares = draw_shares(self.new[self.rows]) if plan.draws_new else None
-        self.encoder_step = next((s for s in range(plan.stage.steps) if plan.encodes_at(s / plan.stage.steps)), None)
+        self.shares = draw_shares(self.new[self.rows]) if plan.draws_new and plan.dynamic else None
         self.optimizers, self._rates = self._make_optimizers()
         scene.avatar.decoder.requires_grad_(plan.learns_decoder)
         scene.avatar.features.requires_grad_(plan.learns_features)
@@ -95,11 +94,11 @@ class Stage:
         if plan.learns_features:
             first = [avatar.features, *avatar.smooth.parameters()]
             groups.append({"params": first, "lr": plan.stage.lr_features})
-        if plan.encoder_from < 1:
+        if plan.dynamic:
             groups.append({"params": list(avatar.encoder.parameters()), "lr": plan.stage.lr_encoder})
         rates: dict[str, list[float]] = {
             "optimizer": [group["lr"] for group in groups],
-            "motion_optimizer": [0.0, 0.0],  # see `_prepare`
+            "motion_optimizer": list(plan.pose_rates),
         }
         optimizers: dict[str, torch.optim.Optimizer] = {
             "optimizer": torch.optim.Adam(groups, fused=True),  # one pass over each parameter
@@ -215,14 +214,13 @@ class Stage:
         if step == plan.shape_step and self.chooser.shape(judging_scale(self.scene, image)):
             self.optimizers["shape_optimizer"] = self._shape_optimizer()
             self._rates["shape_optimizer"] = [plan.motion.lr_betas]
-        if self.encoder_step == step:
+        if plan.dynamic and step == 0:
             self._prepare_encoder()
         if step == plan.mend_step:
             self._mend(image)
         if step == plan.prior_step:
             self._fill(image)
-        shares = self.shares if plan.encodes_at(progress) else None
-        rows = [self.rows[r] for r in batch_rows(plan.seed, len(self.rows), plan.stage.batch, step, shares)]
+        rows = [self.rows[r] for r in batch_rows(plan.seed, len(self.rows), plan.stage.batch, step, self.shares)]
         inputs, attributes = self._draw(rows, image, background_at(plan.background, plan.seed, step), progress)
         total, values = self.losses(inputs)
         if self.prior is not None:
@@ -237,9 +235,7 @@ class Stage:
 
     def _prepare(self, step: int) -> float:
         """Points and rates for a step; the scale of its images."""
-        plan, progress = self.plan, step / max(1, self.plan.stage.steps)
-        level, factor = level_at(plan.stage, step), lr_factor(plan.stage, step, plan.encoder_from or 1.0)
-        self._rates["motion_optimizer"] = list(plan.pose_rates_at(progress))
+        level, factor = level_at(self.plan.stage, step), lr_factor(self.plan.stage, step)
         self.scene.place(level)
         for name, rates in self._rates.items():
             for group, rate in zip(self.optimizers[name].param_groups, rates, strict=True):
@@ -266,10 +262,7 @@ class Stage:
     ) -> tuple[LossInputs, Attributes]:
         """The views in `rows` and what the losses look at beside them, and what was decoded for them."""
         scene, plan, frames = self.scene, self.plan, self.scene.frames_of(rows)
-        pose_features = scene.pose_features(frames) if plan.encodes_at(progress) else None
-        if pose_features is not None and not plan.dynamic:
-            told = [row not in self.left_out for row in rows]
-            pose_features = pose_features * pose_features.new_tensor(told)[:, None, None, None]
+        pose_features = scene.pose_features(frames) if plan.dynamic else None
         attributes = scene.avatar.attributes(pose_features)
         seen = scene.compare(rows, image, attributes, background=background)
         motion = None

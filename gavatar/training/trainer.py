@@ -133,7 +133,6 @@ def training_scene(config: TrainConfig, built: AvatarBuild, capture: Capture, vi
         capture,
         views,
         crop=config.crop,
-        mask_edge=config.mask_edge,
         mask_matte=0.0 if config.mask_matte == AUTO else config.mask_matte,
         bar=lambda items: shown(items, "reading images", "image", show=config.progress),
     )

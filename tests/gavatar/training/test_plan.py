@@ -51,25 +51,22 @@ def test_poses_move_within_the_window_of_stage_1_and_all_through_stage_2():
 
 
 def test_frames_share_less_and_less_in_stage_1_and_least_in_stage_2():
-    given = ["motion.sharing=0.8", "motion.sharing_final=0.2", "motion.sharing_end=0.5", "stage1.encoder_from=1"]
+    given = ["motion.sharing=0.8", "motion.sharing_final=0.2", "motion.sharing_end=0.5"]
     one, two = plans(*given)
     assert [one.sharing(p, 100.0) for p in (0.0, 0.25, 1.0)] == pytest.approx([0.8, 0.5, 0.2])
     assert [two.sharing(p, 100.0) for p in (0.0, 1.0)] == pytest.approx([0.2, 0.2])
 
 
-def test_the_end_of_stage_1_knows_what_the_pose_does():
-    one, two = plans("stage1.encoder_from=0.8", "motion.sharing_end=0.5", "motion.sharing_final=0", "stage1.steps=100")
-    assert [one.encodes_at(p) for p in (0.0, 0.79, 0.8, 1.0)] == [False, False, True, True]
-    assert two.encodes_at(0.0)
-    assert one.pose_rates_at(0.5) == (one.motion.lr, one.motion.lr_trans)
-    assert one.pose_rates_at(0.9) == two.pose_rates_at(0.0) == (one.motion.lr, 3 * one.motion.lr_trans)
-    assert one.sharing(0.4, 100.0) == 0  # half of the part before
-    factors = [lr_factor(one.stage, step, one.encoder_from) for step in range(100)]
-    assert factors[0] == factors[80] == 1
-    assert factors[79] == factors[99] == pytest.approx(one.stage.lr_final)
-    (alone,) = plans("stage1.encoder_from=0.8", "stage1.steps=100", dynamic=False)
-    assert alone.encoder_from == 1  # without an encoder the stage is one piece
-    assert lr_factor(alone.stage, 80, alone.encoder_from) < 0.2
+def test_only_stage_2_knows_the_pose_encoder_and_moves_places_faster():
+    one, two = plans("motion.sharing_end=0.5", "motion.sharing_final=0", "stage1.steps=100")
+    assert (one.dynamic, two.dynamic) == (False, True)
+    assert one.pose_rates == (one.motion.lr, one.motion.lr_trans)
+    assert two.pose_rates == (one.motion.lr, 3 * one.motion.lr_trans)
+    assert one.sharing(0.5, 100.0) == 0
+    factors = [lr_factor(one.stage, step) for step in range(100)]
+    assert factors[0] == 1
+    assert factors == sorted(factors, reverse=True)
+    assert factors[99] == pytest.approx(one.stage.lr_final)
 
 
 def test_texture_stays_still_in_stage_2():

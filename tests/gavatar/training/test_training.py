@@ -129,10 +129,10 @@ def test_stage_two_freezes_features_and_motion_and_sees_the_refined_poses(traine
         assert set(file) >= {"poses", "trans", "betas", "mocap_framerate"}
 
 
-# everything trained at once, in stage 1 too: the maps of light and joints, the features, the poses
+# everything trained at once: the maps of light and joints, the features, the poses
 LINEAR = [
     *(o for o in SMALL if not o.startswith("encoder")), "encoder=linear", "encoder.map_size=64",
-    "stage1.encoder_from=0.5", "stage2.lr_features=1e-2", "motion.stage2=1",
+    "stage2.lr_features=1e-2", "motion.stage2=1",
     "motion.stage2_trans=1", "motion.guard=false",
 ]  # fmt: skip
 

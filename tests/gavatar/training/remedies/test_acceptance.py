@@ -116,30 +116,6 @@ def test_stage_2_never_sees_the_views_that_judge_it(capture, tmp_path, monkeypat
     assert learnt == {0, 1, 3, 4, 5}
 
 
-def test_stage_1_shows_the_views_that_judge_to_the_look_and_not_to_the_pose_encoder(capture, tmp_path, monkeypatch):
-    small = [option for option in SMALL if not option.startswith("encoder")]
-    overrides = [f"capture={capture}", f"out={tmp_path}", *small, "dynamics=auto", "encoder=linear"]
-    overrides += ["stage1.encoder_from=0.5", "stage1.steps=12"]
-    trainer = Trainer(check(compose_config(overrides)), tmp_path)
-    stage = trainer.stage(1)
-    assert stage.left_out == [2]
-    stage._prepare_encoder()
-    torch.nn.init.normal_(trainer.scene.avatar.encoder.maps)
-    shown = {}
-    attributes = trainer.scene.avatar.attributes
-
-    def watched(features=None):
-        if features is not None:
-            shown["features"] = features.detach()
-        return attributes(features)
-
-    monkeypatch.setattr(trainer.scene.avatar, "attributes", watched)
-    trainer.scene.place(stage.plan.stage.levels[0])
-    stage._draw([2, 1], 0.25, torch.ones(3), 0.9)
-    assert not shown["features"][0].any()
-    assert shown["features"][1].any()
-
-
 def look_of(errors, distances=None, detail=1e-3) -> Look:
     return Look(list(errors), distances, detail)
 
