@@ -98,6 +98,8 @@ class TrainConfig:
     """Everything a run needs. capture: directory. out: run directory. train_split: of the capture, what is trained on.
     background: `random` colour each step, `white`
     or `black`. crop: render only the window in which the person moves. preview_every, checkpoint_every: steps.
+    minutes: that training may take here, 0 for the preset's steps: a few steps are timed first, then the steps of both
+    stages are scaled.
     precision: of the decoder's products while training, `float32`, `bfloat16` or `auto`, the faster one here.
     draw: while the pose encoder learns, views are drawn by how `new` their pose is, so that one that recurs counts
     little more than once, or all `alike`.
@@ -115,6 +117,7 @@ class TrainConfig:
     seed: int = 0
     device: str = "auto"
     threads: int = 0
+    minutes: float = 0.0
     precision: str = "float32"
     overwrite: bool = False
     background: str = "random"
@@ -183,6 +186,8 @@ def check(config: DictConfig) -> TrainConfig:
         raise UserError(f"draw must be {' or '.join(DRAWS)}, not '{typed.draw}'")
     if not (typed.mask_matte == AUTO or is_number(typed.mask_matte)):
         raise UserError(f"mask_matte must be auto or a number of pixels, not {typed.mask_matte!r}")
+    if not (is_number(typed.minutes) and typed.minutes >= 0):
+        raise UserError(f"minutes must be a number of at least 0, not {typed.minutes!r}")
     check_choice("exposure", typed.exposure)
     check_precision(typed.precision)
     check_dynamics(typed.dynamics, typed.dynamics_gain)

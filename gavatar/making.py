@@ -17,6 +17,7 @@ from gavatar_runtime.tiers import player_tiers
 from .face import TrainedRun, open_capture, prepare, train
 from .overrides import as_overrides
 from .storage import atomic, write_json
+from .training.preview import LIVE
 
 ASKED = "make.json"  # what the folder's steps were asked for
 EXPORTED = "exported.sha256"  # of the avatar that the bundle was made of
@@ -60,8 +61,8 @@ def make(
     _claim(folder, clip, {"preset": preset, "settings": sorted(as_overrides(dict(settings or {}))), "footage": footage})
     say("1/4  prepare: find the person and fit the body")
     capture = _prepared(clip, folder, footage, say, progress)
-    say("2/4  train the avatar")
-    run = train(capture, preset, out=folder / "run", **{"progress": progress, **(settings or {})})
+    say(f"2/4  train the avatar; to watch it: {folder / 'run' / 'previews' / LIVE}")
+    run = train(capture, preset, out=folder / "run", **{"progress": progress, "preview_every": 50, **(settings or {})})
     name = folder.resolve().name
     bundle, page = folder / f"{name}.gavatar", folder / f"{name}.html"
     say("3/4  export to ONNX, verified against PyTorch")

@@ -15,6 +15,7 @@ DESCRIPTION = "From a video of a person to a page that plays their avatar: prepa
 EPILOG = """examples
   gavatar-make clip.mp4                               writes clip/clip.html and opens it
   gavatar-make clip.mp4 -o anna --height 1.72
+  gavatar-make clip.mp4 --minutes 3                   trains the best avatar that three minutes allow here
   gavatar-make clip.mp4 -o quick --preset demo stage1.steps=100
   gavatar-make captures/anna -o anna                  of a capture that gavatar-prepare wrote
 
@@ -31,6 +32,9 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="gavatar-train settings")
     parser.add_argument("-o", "--out", metavar="DIR", type=Path, help="where to write (default: CLIP without suffix)")
     parser.add_argument("--preset", default="default", metavar="NAME", help="of gavatar-train (default: default)")
+    parser.add_argument(
+        "--minutes", type=float, metavar="M", help="that training may take (default: the steps of the preset)"
+    )
     parser.add_argument("--height", type=float, metavar="M", help="the person's height in metres, if known")
     parser.add_argument("--fps", type=float, help="of the footage, where it does not say")
     parser.add_argument("--no-browser", action="store_true", help="do not open the page")
@@ -50,10 +54,13 @@ def main(argv: list[str] | None = None) -> int:
     from ..overrides import from_overrides
 
     footage = {name: getattr(arguments, name) for name in ("height", "fps") if getattr(arguments, name) is not None}
+    settings = from_overrides(arguments.settings)
+    if arguments.minutes is not None:
+        settings["minutes"] = arguments.minutes
     flags = as_flags(vars(arguments))
     with options_spelled(flags):
         made = make(
-            arguments.clip, arguments.out, preset=arguments.preset, settings=from_overrides(arguments.settings),
+            arguments.clip, arguments.out, preset=arguments.preset, settings=settings,
             say=lambda sentence: print(spelled(sentence, flags), flush=True), progress=not arguments.quiet, **footage,
         )  # fmt: skip
     print(made)

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..assemble import build_rasterizer
 from ..storage import atomic
-from ..training.evidence_picture import drawn_evidence
 from ..training.preview import error_map
+from ..training.remedies.evidence_picture import drawn_evidence
 from .result import Evaluation
 
 

@@ -24,3 +24,17 @@ def side_by_side(target: np.ndarray, render: np.ndarray, height: int = 256) -> n
     row = np.concatenate([target, render, error_map(target, render)], 1)
     factor = max(1, height // max(1, row.shape[0]))
     return np.repeat(np.repeat(row, factor, 0), factor, 1)
+
+
+LIVE = "live.html"
+LATEST = "latest.png"
+PAGE = """<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="{seconds}"><title>{title}</title>
+<body style="margin:2em;font:16px sans-serif;background:#222;color:#eee"><p>{title}</p>
+<img src="{picture}?{stamp}" style="max-width:100%" alt="footage, avatar, error">
+"""
+
+
+def live_page(title: str, stamp: int, finished: bool = False) -> str:
+    """A page that shows the latest picture of a training and loads itself again while that goes on. title: of what
+    there is to see. stamp: another number for another picture, so that no browser shows the former one."""
+    return PAGE.format(title=title, picture=LATEST, stamp=stamp, seconds=3600 if finished else 3)

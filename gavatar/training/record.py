@@ -9,9 +9,9 @@ from torch import Tensor
 
 from gavatar_runtime.errors import UserError
 
-from ..storage import write_image, write_json
-from .evidence_picture import evidence_picture
-from .preview import as_image, side_by_side
+from ..storage import atomic, write_image, write_json
+from .preview import LATEST, LIVE, as_image, live_page, side_by_side
+from .remedies.evidence_picture import evidence_picture
 from .scene import Scene
 from .verdicts import Verdicts
 
@@ -35,10 +35,18 @@ class Record:
             for key, value in losses.items():
                 self._board.add_scalar(f"stage{stage}/{key}", value, step)
 
-    def preview(self, stage: int, step: int, target: Tensor, render: Tensor) -> None:
-        """Write footage, avatar and error of a view, (3, H, W) each, side by side."""
-        path = self.directory / "previews" / f"stage{stage}_{step:06d}.png"
-        write_image(path, side_by_side(as_image(target), as_image(render)))
+    def preview(self, stage: int, step: int, target: Tensor, render: Tensor, steps: int = 0) -> None:
+        """Write footage, avatar and error of a view, (3, H, W) each, side by side, and beside it a page that shows the
+        latest such picture while training goes on. steps: of the stage, 0 where that is not known."""
+        folder, picture = self.directory / "previews", side_by_side(as_image(target), as_image(render))
+        for name in (f"stage{stage}_{step:06d}.png", LATEST):
+            write_image(folder / name, picture)
+        of = f" of {steps}" if steps else ""
+        self._live(f"stage {stage}, step {step + 1}{of}: footage, avatar, error", step)
+
+    def _live(self, title: str, stamp: int, finished: bool = False) -> None:
+        with atomic(self.directory / "previews" / LIVE) as temporary:
+            temporary.write_text(live_page(title, stamp, finished), encoding="utf-8")
 
     def evidence(self, scene: Scene) -> None:
         """Draw what the views say of each point: evidence.png, and among the previews."""
@@ -58,6 +66,8 @@ class Record:
                 "history": self.history,
             },
         )
+        if finished and (self.directory / "previews" / LATEST).exists():
+            self._live("the training is finished: footage, avatar, error", len(self.history), finished)
 
     def state(self) -> dict[str, Any]:
         """Plain values for the checkpoint."""

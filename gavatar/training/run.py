@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import warnings
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig
 
 from gavatar_runtime.errors import UserError
+from gavatar_runtime.notes import Note
 from gavatar_runtime.values.motion import Motion
 
 from ..assemble import AvatarBuild, build_configured, capture_on_body, resolve_body
@@ -20,6 +22,7 @@ from ..capture.opening import open_capture
 from ..config import TrainConfig, check
 from ..registry import RASTERIZERS, split_node
 from ..storage import load_tensors
+from .budget import within
 from .motion_table import MotionTable
 from .places import CONFIG, WrittenRun, absolute, from_here
 from .remedies.placed_evidence import PlacedEvidence
@@ -38,9 +41,18 @@ def train(composed: DictConfig, directory: Path) -> Trainer:
     # what `auto` finds today is written down: another day it may find other files
     config.body = resolve_body(config.body, opened)
     content = fingerprint(opened, config.train_split)
-    if (directory / CONFIG).exists() and not config.overwrite:
-        refuse_another(WrittenRun.read(directory), config, content)
+    continued = (directory / CONFIG).exists() and not config.overwrite
+    if continued:
+        written = WrittenRun.read(directory)
+        if config.minutes and written.config.minutes == config.minutes:  # as they were measured at its start
+            config.stage1.steps, config.stage2.steps = written.config.stage1.steps, written.config.stage2.steps
+        refuse_another(written, config, content)
     trainer = Trainer(config, directory)  # everything that can be wrong is found before the old run is touched
+    if config.minutes and not continued:
+        config = within(config)
+        trainer = Trainer(config, directory)
+        steps = config.stage1.steps, config.stage2.steps
+        warnings.warn(f"{config.minutes:g} minutes: {steps[0]} steps in stage 1, {steps[1]} in stage 2", Note)
     if config.overwrite:
         for name in ("checkpoint.pt", "metrics.json", "motion.npz", REFUSED, *STAGE_FILES.values()):
             (directory / name).unlink(missing_ok=True)

@@ -230,7 +230,7 @@ class Stage:
         total.backward()
         self._update(rows, progress)
         if step % plan.preview_every == 0 or step + 1 == plan.stage.steps:
-            self.record.preview(plan.number, step, inputs.target[0], inputs.render[0])
+            self.record.preview(plan.number, step, inputs.target[0], inputs.render[0], plan.stage.steps)
         return {"total": float(total.detach()), **values}
 
     def _prepare(self, step: int) -> float:

@@ -113,7 +113,7 @@ def test_values_are_means_and_do_not_grow_with_the_batch(build, name):
 
 
 def test_the_total_is_the_weighted_sum_of_unweighted_values():
-    inputs = disturbed(perfect())
+    inputs = disturbed(perfect(batch=2))
     total, values = LossComposer({"l1": 0.5, "offset": {"weight": 3}, "mask": {"weight": 2.0, "norm": "l2"}})(inputs)
     assert set(values) == {"l1", "offset", "mask"}
     assert values["l1"] == pytest.approx((inputs.render - inputs.target).abs().mean().item())
@@ -149,7 +149,7 @@ def test_losses_abstain_where_their_inputs_are_absent():
 
 
 def test_a_loss_starts_and_decays_with_progress():
-    inputs = disturbed(perfect())
+    inputs = disturbed(perfect(batch=2))
     composer = LossComposer({"l1": {"weight": 1.0, "start": 0.15}, "offset": {"weight": 10, "decay": 0.5}})
     assert set(composer(dataclasses.replace(inputs, progress=0.1))[1]) == {"offset"}
     total, values = composer(dataclasses.replace(inputs, progress=0.3))
@@ -170,6 +170,7 @@ def test_a_loss_starts_and_decays_with_progress():
         ({"mask": {"norm": "l3"}}, r"losses\.mask\.norm: must be one of l1, l2"),
         ({"perceptual": {"depth": 9}}, r"losses\.perceptual\.depth"),
         ({"perceptual": {"crop": -4}}, r"losses\.perceptual\.crop"),
+        ({"perceptual": {"views": -1}}, r"losses\.perceptual\.views"),
         ({"l1": 0}, r"no loss has a weight above zero"),
         ({}, r"no loss has a weight above zero"),
     ],
@@ -177,3 +178,12 @@ def test_a_loss_starts_and_decays_with_progress():
 def test_a_wrong_composition_is_a_users_mistake(losses, message):
     with pytest.raises(UserError, match=message):
         LossComposer(losses)
+
+
+def test_the_perceptual_loss_of_some_views_is_that_of_a_batch_of_them():
+    inputs = disturbed(perfect(batch=2))
+    some = dataclasses.replace(inputs, **{f: getattr(inputs, f)[:1] for f in ("render", "target", "alpha", "mask")})
+    whole = LossComposer({"perceptual": 1.0})
+    first = LossComposer({"perceptual": {"weight": 1.0, "views": 1}})
+    assert first(inputs)[1] == whole(some)[1]
+    assert first(inputs)[1] != whole(inputs)[1]

@@ -9,7 +9,6 @@ from surfaces import free_surface
 from tiny_capture import SMALL, write_tiny_capture
 
 from gavatar.config import LevelConfig, check, compose_config
-from gavatar.training.evidence_picture import evidence_colors, evidence_picture
 from gavatar.training.footage import FootageSource
 from gavatar.training.remedies.evidence import (
     evidence_of,
@@ -18,6 +17,7 @@ from gavatar.training.remedies.evidence import (
     sphere,
     view_weights,
 )
+from gavatar.training.remedies.evidence_picture import evidence_colors, evidence_picture
 from gavatar.training.remedies.facing import squareness
 from gavatar.training.remedies.placed_evidence import PlacedEvidence
 from gavatar.training.scene import Scene

@@ -10,9 +10,9 @@ from gavatar_runtime.values.camera import Camera, look_at
 from gavatar_runtime.values.gaussians import Gaussians
 from gavatar_runtime.values.point_evidence import FULL, Evidence
 
-from ..avatar.trainable import Avatar
-from ..protocols import Rasterizer
-from .scene import Scene
+from ...avatar.trainable import Avatar
+from ...protocols import Rasterizer
+from ..scene import Scene
 
 # from nothing seen to plenty: red, orange, yellow, green (as seen by most; told apart by lightness as well)
 STEPS = (
