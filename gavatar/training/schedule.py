@@ -16,6 +16,12 @@ def level_at(stage: StageConfig, step: int) -> LevelConfig:
     return next(level for level in stage.levels if fraction <= level.until)
 
 
+def last_level_start(stage: StageConfig) -> int:
+    """The first step of the last level."""
+    starts = [0.0, *(level.until for level in stage.levels[:-1])][-1]
+    return next((s for s in range(int(starts * stage.steps), stage.steps) if level_at(stage, s) is stage.levels[-1]), 0)
+
+
 def lr_factor(stage: StageConfig, step: int) -> float:
     """Cosine from 1 to `lr_final` over the stage."""
     fraction = step / max(1, stage.steps - 1)

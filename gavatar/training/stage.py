@@ -34,7 +34,7 @@ from .remedies.left_out import left_out_rows
 from .remedies.outliers import judging_scale, mend_outliers
 from .remedies.prior import SURE, Prior, fill
 from .scene import Scene
-from .schedule import background_at, batch_rows, level_at, lr_factor
+from .schedule import background_at, batch_rows, last_level_start, level_at, lr_factor
 from .verdicts import FillingVerdict, Look, ResidualVerdict
 
 log = logging.getLogger("gavatar.training")
@@ -144,7 +144,9 @@ class Stage:
         if self.learns_shape:
             self.record.verdicts.betas = scene.settle_shape()
             scene.place(self.plan.stage.levels[-1])
-        self._finish(self._judged(), trained=start < steps)
+        result = self._judged()
+        scene.place(self.plan.stage.levels[-1])
+        self._finish(result, trained=start < steps)
 
     def _resume(self, state: dict[str, Any]) -> int:
         """Go on from a checkpoint of this stage; the step that it stands at."""
@@ -175,6 +177,8 @@ class Stage:
         title = f"stage {plan.number}"
         with Progress(title, steps, "step", done=start, show=self.progress, lasting=True) as bar:
             for step in range(start, steps):
+                if self._lost(step):
+                    break
                 losses = self.step(step)
                 last = step + 1 == steps
                 told: dict[str, Any] = {}
@@ -311,7 +315,7 @@ class Stage:
         if plan.dynamic and verdicts.residual is None:
             fine, beyond = fine_rms(scene, self.learning), colours_beyond(scene, self.learning)
             verdicts.residual = ResidualVerdict(round(fine, 5), round(beyond, 5))
-            if self.judged:
+            if self.judged and verdicts.dynamics is None:
                 assert plan.least_gain is not None  # else no view is left out
                 assert verdicts.static_look is not None
                 dynamic = self._look(dynamic=True)
@@ -321,9 +325,24 @@ class Stage:
         log.warning(verdicts.dynamics.sentence())
         return STAGE_FILES[plan.number] if verdicts.dynamics.kept else REFUSED
 
-    def _look(self, dynamic: bool) -> Look:
+    def _lost(self, step: int) -> bool:
+        """Whether dynamics lose, before the last level begins, on the views that judge them: no finer level has mended
+        that, and it is the most costly one. Their verdict is that of the level before."""
+        plan, verdicts = self.plan, self.record.verdicts
+        if not (plan.dynamic and self.judged and step == last_level_start(plan.stage) > 0):
+            return False
+        level = plan.stage.levels[-2]
+        self.scene.place(level)
+        static, dynamic = (self._look(dynamic, level.image) for dynamic in (False, True))
+        assert plan.least_gain is not None  # else no view is left out
+        verdict = dynamics_verdict(static, dynamic, plan.least_gain)
+        if verdict.gain_db < 0:
+            verdicts.dynamics = verdict
+        return verdict.gain_db < 0
+
+    def _look(self, dynamic: bool, image: float | None = None) -> Look:
         rates = self.plan.motion.lr, self.plan.motion.lr_trans
-        return look(self.scene, self.left_out, self.plan.image, dynamic, rates)
+        return look(self.scene, self.left_out, image or self.plan.image, dynamic, rates)
 
     def _finish(self, result: str, trained: bool) -> None:
         """Remedies, after the verdict: the guard chooses poses by the very views that judge. trained: steps were made,

@@ -82,6 +82,29 @@ def test_both_looks_are_judged_by_images_of_one_size(capture, tmp_path):
     assert verdict.gain_db == pytest.approx(0, abs=1e-3)
 
 
+LEVELS = "stage2.levels=[{until:0.5,gaussians:2000,image:0.125},{until:1.0,gaussians:2850,image:0.25}]"
+
+
+def test_dynamics_that_lose_on_the_views_that_judge_are_spared_the_last_level(capture, tmp_path, monkeypatch):
+    losing = [LEVELS, "dynamics=auto", "stage1.steps=30", "stage2.steps=8", "stage2.lr_encoder=1.0"]
+    trainer = run(capture, tmp_path, *losing)
+    verdict = trainer.record.verdicts.dynamics
+    assert verdict.gain_db < 0
+    assert not verdict.kept
+    assert [entry["step"] for entry in trainer.record.history if entry["stage"] == 2] == [0]  # the last would be told
+    assert json.loads((tmp_path / "metrics.json").read_text())["gaussians"] == 2850
+    assert len(open_run(tmp_path).avatar.surface) == 2850
+    assert load_tensors(tmp_path / "checkpoint.pt")["step"] == 8
+    monkeypatch.setattr(Scene, "errors", lambda *a, **k: pytest.fail("judged again"))
+    assert run(capture, tmp_path, *losing).record.verdicts.dynamics == verdict
+
+
+def test_dynamics_that_do_not_lose_go_on_to_the_last_level(capture, tmp_path):
+    still = [LEVELS, "dynamics=auto", "stage2.lr_decoder=0", "stage2.lr_encoder=0", "motion.guard=false"]
+    trainer = run(capture, tmp_path, "stage2.steps=8", *still)
+    assert [entry["step"] for entry in trainer.record.history if entry["stage"] == 2] == [0, 7]
+
+
 def test_dynamics_that_do_not_pay_give_the_poses_of_stage_1_back(capture, tmp_path):
     moving = ["motion.stage2=1", "motion.stage2_trans=3", "stage2.lr_features=1e-2"]
     trainer = run(capture, tmp_path, "dynamics=auto", "dynamics_gain=50", *moving)
