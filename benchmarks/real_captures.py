@@ -28,7 +28,6 @@ import cv2
 import numpy as np
 import torch
 
-from gavatar.assemble import build_rasterizer
 from gavatar.capture.capture import Capture, View, read_capture
 from gavatar.config import compose_config
 from gavatar.evaluation.scores import Evaluator
@@ -41,7 +40,7 @@ from gavatar.preparation.footage_source import Source, SourceOptions, open_sourc
 from gavatar.preparation.pipeline import fit_and_write
 from gavatar.preparation.write import CaptureFacts
 from gavatar.registry import BODIES, load_plugins
-from gavatar.training.motion_table import MotionTable
+from gavatar.training.posing import attributes_in
 from gavatar.training.run import Run, open_run, train
 from gavatar_runtime.geometry.spacing import evenly_spaced
 from gavatar_runtime.values.motion import Motion
@@ -71,12 +70,12 @@ def _spread(values) -> dict:
 
 
 @torch.no_grad()
-def opacity(run: Run, view: View, motion: Motion) -> np.ndarray:
-    """(H, W) of the avatar in a view."""
-    table = MotionTable(Motion(motion.poses[view.frame][None], motion.trans[view.frame][None], motion.fps),
-                        motion.poses.shape[1])  # fmt: skip
-    (gaussians,) = run.avatar.pose(run.avatar.attributes(), table())
-    return build_rasterizer(run.config.rasterizer)(gaussians, run.capture.camera(view), (1.0, 1.0, 1.0)).alpha.numpy()
+def opacity(evaluator: Evaluator, view: View, motion: Motion) -> np.ndarray:
+    """(H, W) of the avatar in a view, drawn as a player draws it."""
+    scene, run = evaluator.scene([view], motion), evaluator.run
+    attributes = attributes_in(run, motion, view.frame)
+    camera = run.capture.camera(view)
+    return scene.draw(attributes, scene.motion([view.frame]), [camera], pixel=run.pixel)[1][0].numpy()
 
 
 def holes(alpha: np.ndarray, mask: np.ndarray) -> float:
@@ -96,7 +95,8 @@ def score(run: Run, evaluator: Evaluator, views: list[View], motion: Motion) -> 
                 for i in (evaluator.render(view, motion), color + (1 - alpha[..., None]))]  # fmt: skip
         mask = torch.from_numpy(alpha)[None]
         rows.append((float(psnr(*pair)), float(ssim(*pair)), float(masked(psnr, *pair, mask)),
-                     float(masked(ssim, *pair, mask)), holes(opacity(run, view, motion), alpha > 0.5)))  # fmt: skip
+                     float(masked(ssim, *pair, mask)),
+                     holes(opacity(evaluator, view, motion), alpha > 0.5)))  # fmt: skip
     table = np.array(rows)
     ssim_whole, ssim_in_box, holes_share = (round(float(table[:, k].mean()), 4) for k in (1, 3, 4))
     return {"views": len(views), "psnr": round(mean_psnr(table[:, 0]), 2), "ssim": ssim_whole,
@@ -114,7 +114,7 @@ def figure(path: Path, run: Run, evaluator: Evaluator, views: list[View], motion
     stacks = []
     for view, (color, alpha), (x, y, bw, bh) in zip(chosen, loaded, boxes, strict=True):
         target = color + (1 - alpha[..., None])
-        image, through = np.clip(evaluator.render(view, motion), 0, 1), 1 - opacity(run, view, motion)[..., None]
+        image, through = np.clip(evaluator.render(view, motion), 0, 1), 1 - opacity(evaluator, view, motion)[..., None]
         error = np.repeat(1 - np.clip(3 * np.abs(image - target).mean(-1, keepdims=True), 0, 1), 3, -1)
         on_green = np.clip(image - through * (1, 0, 1), 0, 1)
         crop = np.float32([[1, 0, (w - bw) // 2 - x], [0, 1, (h - bh) // 2 - y]])
