@@ -9,6 +9,7 @@ import threading
 import webbrowser
 
 from ..errors import exit_cleanly, options_spelled
+from .play_arguments import detail
 from .settings import as_flags, as_settings, parse_options
 
 DESCRIPTION = "Look at an avatar in a browser: turn it, play its motions, drop motion files on it. Nothing to install."
@@ -31,7 +32,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("avatar", metavar="NAME.gavatar", help="bundle that gavatar-export wrote, zipped or unpacked")
     p.add_argument("--motion", metavar="NAME,FILE", default="", help="more motions; the first plays")
     p.add_argument("--tier", metavar="NAME", help="how it is decoded at the start (default: the first that it holds)")
-    p.add_argument("--gaussians", type=int, metavar="N", help="at most so many at the start (default: all)")
+    p.add_argument("--gaussians", type=detail, metavar="N|auto", help="at most so many at the start, or auto: "
+                   "as many as the footage's pixels are worth (default: all)")  # fmt: skip
     p.add_argument("--drive", metavar="CAMERA", help="a webcam by its number, or a video: it does as that person")
     p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="an option of the driver "
                    "(gavatar-list driver): fov=65, degrees that the camera sees over its longer side")  # fmt: skip

@@ -12,11 +12,10 @@ from typing import Any, ClassVar, Literal
 from ..avatar.playing import Avatar
 from ..bundle import Bundle
 from ..components import Component, Registry
-from ..decoding.detail import count_for_footage
 from ..errors import WrongValue, did_you_mean
 from ..motions import MOTIONS, read_motion
-from ..play.defaults import AUTO
 from ..play.outputs.output import suffix_of
+from ..play.selection import wanted_count
 from ..plugins import load_entry_points
 from ..values.motion import Motion
 
@@ -102,11 +101,8 @@ def convert(
     wanted = list(default_motions() if motions is None else motions) or [MOTIONS.default]
     read = [m if isinstance(m, Motion) else read_motion(m) for m in wanted]
     fitted = _told_apart([avatar.fit(motion) for motion in read], conversion.notes)
-    if isinstance(gaussians, str):
-        if gaussians != AUTO:
-            raise WrongValue(f"`gaussians={gaussians}`: give a whole number from 1 up, or {AUTO}")
-        gaussians = count_for_footage(avatar.surface, avatar.pixel)
-    conversion.write(Request(avatar, fitted, tier, gaussians), Path(path))
+    count = None if gaussians is None else wanted_count(gaussians, avatar.surface, avatar.pixel)
+    conversion.write(Request(avatar, fitted, tier, count), Path(path))
     return tuple(dict.fromkeys(conversion.notes))
 
 

@@ -1,12 +1,15 @@
-"""Which stored tier to play, from the error and the cost that were measured for each."""
+"""Which stored tier to play, from the error and the cost that were measured for each, and how many Gaussians of it."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from ..bundle import Bundle
+from ..decoding.detail import count_for_footage
 from ..errors import UserError, WrongValue
 from ..tiers import player_tiers, stored_tiers
+from ..values.surface import Surface
+from .defaults import AUTO
 
 NEEDED = {"name", "frame_ms", "psnr_capture", "worst_psnr_capture"}  # of what the manifest says of a tier
 
@@ -55,3 +58,13 @@ def choose_tier(
 
 def _name(described: dict[str, Any]) -> str:
     return str(described["name"])
+
+
+def wanted_count(gaussians: int | str, surface: Surface, pixel: float | None) -> int:
+    """How many Gaussians `gaussians` asks for: a number, or `auto` for as many as the footage's pixels were worth.
+    pixel: metres that one of these spanned, None where that is not known. Raises WrongValue for anything else."""
+    if isinstance(gaussians, int) and gaussians >= 1:
+        return gaussians
+    if gaussians != AUTO:
+        raise WrongValue(f"`gaussians={gaussians}`: give a whole number from 1 up, or {AUTO}")
+    return count_for_footage(surface, pixel)

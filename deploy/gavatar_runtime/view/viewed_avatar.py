@@ -19,6 +19,7 @@ from ..bundle import Bundle
 from ..errors import UserError, WrongValue, did_you_mean
 from ..motions import MOTIONS, built_in_motions, read_motion
 from ..play.framing import body_points, facing
+from ..play.selection import wanted_count
 from ..render.renderer import Renderer
 from ..tiers import stored_tiers
 from ..values.camera import Camera
@@ -69,22 +70,22 @@ class ViewedAvatar:
     """An avatar and motions, drawn for one page at a time.
 
     bundle: of the avatar. motions: names of built-in ones and files. tier: that pages begin with, None for the first
-    that the bundle holds. gaussians: at most so many at first, None for all. threads: that decode and draw. Its methods
+    that the bundle holds. gaussians: at most so many at first, `auto` for as many as the footage's pixels were worth,
+    None for all. threads: that decode and draw. Its methods
     may be called from any thread; one draws while others wait.
     """
 
     def __init__(
         self, bundle: Bundle, motions: Sequence[str | Path | Motion] = (), *, tier: str | None = None,
-        gaussians: int | None = None, threads: int | None = None,
+        gaussians: int | str | None = None, threads: int | None = None,
     ):  # fmt: skip
         self.bundle, self.threads = bundle, threads
         self.body = Avatar(bundle, tier=None)
         self.tiers = stored_tiers(bundle)
         self.tier = self._known(tier or self.tiers[0])
         every = bundle.manifest.gaussians
-        if gaussians is not None and gaussians < 1:
-            raise WrongValue(f"`gaussians={gaussians}`: give a whole number from 1 up")
-        self.gaussians = every if gaussians is None else min(gaussians, every)
+        wanted = every if gaussians is None else wanted_count(gaussians, self.body.surface, self.body.pixel)
+        self.gaussians = min(wanted, every)
         self.drive: Drive | None = None  # what a camera does with it
         self.lock = threading.RLock()
         self._motions: dict[str, Motion] = {}

@@ -11,6 +11,7 @@ import pytest
 from gavatar_runtime.bundle import read_bundle
 from gavatar_runtime.errors import UserError, WrongValue
 from gavatar_runtime.motions import built_in_motions
+from gavatar_runtime.view.server import _hello
 from gavatar_runtime.view.viewed_avatar import KEPT, MOST, ViewedAvatar, Wish
 
 pytest.importorskip("onnx", reason="the hand-made networks need onnx")
@@ -133,3 +134,19 @@ def test_the_tier_to_begin_with(tmp_path):
     assert ViewedAvatar(bundle, tier="blendshape").tier == "blendshape"
     with pytest.raises(WrongValue, match="`tier=gold`"):
         ViewedAvatar(bundle, tier="gold")
+
+
+def test_a_page_begins_with_as_many_gaussians_as_were_asked_for(static, monkeypatch):
+    bundle = read_bundle(static)
+    every = bundle.manifest.gaussians
+    assert [_hello(ViewedAvatar(bundle, gaussians=g))["first"] for g in (None, 5, every, 10 * every)] == [
+        every, 5, every, every
+    ]  # fmt: skip
+    monkeypatch.setitem(bundle.manifest.training, "pixel_m", 0.2)  # of a person of ten pixels, who is worth few
+    assert _hello(ViewedAvatar(bundle, gaussians="auto"))["first"] == min(1000, every)
+
+
+@pytest.mark.parametrize("wrong", [0, -3, "some"])
+def test_no_other_number_of_gaussians_is_taken(static, wrong):
+    with pytest.raises(WrongValue, match=f"`gaussians={wrong}`: give a whole number from 1 up, or auto"):
+        ViewedAvatar(read_bundle(static), gaussians=wrong)
