@@ -3,8 +3,9 @@
 On disk (format version 1)::
 
     capture.json     version, name, license, source, fps, body_model, background, splits; resting optional
-    cameras.json     per camera: width, height, fx, fy, cx, cy, world_to_camera (4x4)
-    images/CAM/%06d.png|jpg     masks/CAM/%06d.png (8-bit alpha)
+    cameras.json     per camera: width, height, fx, fy, cx, cy, world_to_camera (4x4); of one that moves
+                     also `per_frame`: fx, fy, cx, cy, world_to_camera of each frame
+    images/CAM/%06d.png|jpg     masks/CAM/%06d.png (8-bit alpha)     backgrounds/CAM.png optional: nobody in the room
     body.npz         AMASS keys: poses (T, 3J), trans, betas, mocap_framerate, gender; expression (T, E) optional
     body_truth.npz   optional ground truth, read by evaluation only
 
@@ -17,6 +18,7 @@ import dataclasses
 import json
 import os
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,8 @@ from gavatar_runtime.values.body import BodyData
 from gavatar_runtime.values.camera import Camera
 from gavatar_runtime.values.motion import Motion
 
+from ..images.unmixing import without_background
+from .moving_cameras import read_moving
 from .placement import Placement
 
 CAPTURE_VERSION = 1
@@ -58,7 +62,8 @@ class Capture:
     images of alpha. moving: the cameras of views whose camera moves, over those of `cameras`. lenses: distortion
     coefficients (OpenCV's k1, k2, p1, p2, k3) by camera: images are straightened when loaded. listing: the file that
     names the views. placement: how the motion is brought to a body, None when it needs no bringing. gender: of
-    the body model, 'neutral' if nothing says. resting: joints that no image shows and whose pose is a guess.
+    the body model, 'neutral' if nothing says. resting: joints that no image shows and whose pose is a guess. rooms:
+    (H, W, 3) float32 RGB in [0, 1] by camera, what stands behind the person, of those cameras of which it is known.
     """
 
     path: Path
@@ -80,6 +85,7 @@ class Capture:
     placement: Placement | None = None
     gender: str = "neutral"
     resting: tuple[str, ...] = ()
+    rooms: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     def camera(self, view: View) -> Camera:
         """The camera of one view."""
@@ -109,6 +115,9 @@ class Capture:
         image, alpha = image[..., ::-1].astype(np.float32) / 255, mask.astype(np.float32) / 255
         if self.background == "white":
             return np.clip(image - (1 - alpha[..., None]), 0, 1), alpha
+        room = self.rooms.get(view.camera)
+        if room is not None and room.shape == image.shape:
+            return without_background(image, alpha, room), alpha
         return image * alpha[..., None], alpha
 
     def resized(self, scale: float) -> Capture:
@@ -174,6 +183,12 @@ def read_image(path: Path, flag: int) -> np.ndarray:
     if image is None:
         raise UserError(f"{path} cannot be read as an image: it is damaged or of an unknown format")
     return image
+
+
+def _rooms(folder: Path, cameras: list[str]) -> dict[str, np.ndarray]:
+    files = {name: folder / f"{name}.png" for name in cameras}
+    return {name: read_image(path, cv2.IMREAD_COLOR)[..., ::-1].astype(np.float32) / 255
+            for name, path in files.items() if path.is_file()}  # fmt: skip
 
 
 def read_gray(path: Path) -> np.ndarray:
@@ -282,7 +297,9 @@ def read_capture(path: str | os.PathLike, faults: Faults | None = None) -> Captu
     motion = faults.of(read_motion, path / "body.npz", up="y")
     truth = faults.of(_truth, path, motion)
     splits: Any = None
+    moving: dict[str, list[Camera]] = {}
     if info is not None and cameras is not None and motion is not None:
+        moving = faults.of(read_moving, path / "cameras.json", cameras, len(motion)) or {}
         splits = faults.of(_splits, path / "capture.json", info.get("splits") or {}, cameras, len(motion), faults)
     faults.stop()
 
@@ -311,4 +328,6 @@ def read_capture(path: str | os.PathLike, faults: Faults | None = None) -> Captu
         mask_path=mask_path,
         gender=str(info.get("gender", "neutral")),
         resting=tuple(map(str, info.get("resting") or ())),
+        moving={view: moving[view.camera][view.frame] for view in chain(*splits.values()) if view.camera in moving},
+        rooms=_rooms(path / "backgrounds", list(cameras)),
     )

@@ -66,6 +66,10 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--height", type=float, metavar="M", help="the person's height in metres, if known")
     parser.add_argument("--pose-network", metavar="FILE", type=Path, help="another landmark network with the inputs "
                         "and outputs of MediaPipe's (ONNX); the package brings its 'full' one")  # fmt: skip
+    parser.add_argument("--background", metavar="FILE", type=Path, help="picture of the room without anybody, of a "
+                        "camera that stands still (default: learnt from the footage where it can be)")  # fmt: skip
+    parser.add_argument("--matting-network", metavar="FILE", type=Path, help="a network of yours that makes the masks "
+                        "(ONNX, as MODNet's: docs/guide/your_own_video.md)")  # fmt: skip
     parser.add_argument("--body", metavar="NAME", help="body to fit: free (default), or smpl, smplh, "
                         "smplx from your own files (docs/reference/bodies.md)")  # fmt: skip
     parser.add_argument("--body-path", metavar="PATH", help="model file of --body, or the folder to look in before "
@@ -134,7 +138,8 @@ def main(argv: list[str] | None = None) -> int:
     from ..preparation.from_footage import prepare
 
     named = ("height", "fps", "max_frames", "size", "landmarks", "masks", "cameras", "fov", "refine_cameras",
-             "holdout_camera", "pose_network", "num_betas", "name", "license", "preview", "overwrite")  # fmt: skip
+             "holdout_camera", "pose_network", "background", "matting_network", "num_betas", "name", "license",
+             "preview", "overwrite")  # fmt: skip
     options = {name: value for name, value in vars(arguments).items() if name in named}
     frames = _slice(arguments.frames)
     body = _body(arguments.body, path=arguments.body_path, gender=arguments.gender)

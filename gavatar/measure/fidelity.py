@@ -92,5 +92,5 @@ def held_out(capture: Capture, fit: Callable[[Motion], Motion], limit: int = QUA
     for view in views:
         color, alpha = capture.load(view)
         targets.append(color + (1 - alpha[..., None]))
-    cameras = [capture.cameras[view.camera] for view in views]
+    cameras = [capture.camera(view) for view in views]
     return HeldOut(fit(capture.truth or capture.motion), [view.frame for view in views], cameras, targets)

@@ -11,30 +11,45 @@ import numpy as np
 
 from gavatar_runtime.errors import UserError
 
+from ..capture.capture import read_gray
 from .footage.shots import Wardrobe
+from .handheld.room_motion import RoomMotion, measure_room_motion
 from .landmarks import Landmarks
+from .plate.mending import MaskMaker
 from .pose_network import PoseNetworks
 from .steadiness import STEADY, Steadiness
 from .track import Tracked, track
+
+TRAVELS = 0.004  # of the picture's longer side: by more a room does not miss how a turning camera sees it
 
 
 @dataclasses.dataclass(frozen=True)
 class Detection:
     """landmarks: of the chosen frames, filmed pixels. mask_files: one per chosen frame. notes: sentences for the
-    user. changes: indices of the chosen frames with which another person is followed."""
+    user. changes: indices of the chosen frames with which another person is followed. background: (H, W, 3) uint8 BGR,
+    the room without the person, filmed pixels, None where it is not known. motion: of the room in the picture, where
+    the camera moves and the room says how."""
 
     landmarks: Landmarks
     mask_files: list[Path]
     notes: list[str]
     changes: list[int]
+    background: np.ndarray | None = None
+    motion: RoomMotion | None = None
 
 
 class Detector:
-    """Finds the person in one camera's footage after the other and keeps the masks in `folder`."""
+    """Finds the person in one camera's footage after the other and keeps the masks in `folder`.
 
-    def __init__(self, folder: Path, network: Path | None = None, progress: bool = True):
+    network: another landmark network. background: a picture of the room without anybody, of the only camera. matting: a
+    network of the user's that makes the masks.
+    """
+
+    def __init__(self, folder: Path, network: Path | None = None, progress: bool = True, *,
+                 background: Path | None = None, matting: Path | None = None):  # fmt: skip
         self.folder, self.progress = folder, progress
         self.networks = PoseNetworks(network)
+        self.masks = MaskMaker(background, matting, progress)
 
     def __call__(
         self, name: str, images: Callable[[], Iterable[np.ndarray]], numbers: np.ndarray, fps: float | None
@@ -55,19 +70,28 @@ class Detector:
                 raise UserError(f"{files[t]} could not be written: is the disk full?")
 
         tracked = track(images, len(numbers), write, self.networks, f"'{name}'", fps, self.progress, watch)
-        said = notes(name, numbers, tracked, steadiness.moved)
-        return Detection(tracked.landmarks, files, said, wardrobe.changes())
+        motion = None
+        if steadiness.moved is not None and steadiness.moved > STEADY:
+            motion = measure_room_motion(images(), (read_gray(file) for file in files))
+        said = notes(name, numbers, tracked, steadiness.moved, motion)
+        made = self.masks(name, images, files, steadiness.moved)
+        return Detection(tracked.landmarks, files, said + made.notes, wardrobe.changes(), made.background, motion)
 
 
-def notes(name: str, numbers: np.ndarray, tracked: Tracked, moved: float | None) -> list[str]:
+def notes(
+    name: str, numbers: np.ndarray, tracked: Tracked, moved: float | None, motion: RoomMotion | None = None
+) -> list[str]:
     """What a user should know of the footage of camera `name`, one sentence each, the worst first."""
     said = []
     missing = ~(tracked.landmarks.visibility > 0).any(1)
     if moved is not None and moved > STEADY:
-        said.append(
-            f"{name}: the camera moves (the background by {100 * moved:.1f} % of the picture), but a camera that "
-            "stands still is assumed: put it on something"
-        )
+        by = f"{name}: the camera moves (the background by {100 * moved:.1f} % of the picture)"
+        if motion is None:
+            said.append(f"{by}, but too little of the room is seen to say how: put it on something")
+        elif motion.miss > TRAVELS:
+            said.append(f"{by} and travels through the room: it is taken for one that turns, so that places are rough")
+        else:
+            said.append(f"{by}: how it turns and zooms is measured, and the body fitted in a room that stands still")
     if tracked.people > 1:
         said.append(f"{name}: {tracked.people} people are in the picture; the largest is followed")
     if missing.any():

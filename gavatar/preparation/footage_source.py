@@ -22,7 +22,7 @@ import numpy as np
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.values.camera import Camera
 
-from .detect import Detector
+from .detect import Detection, Detector
 from .footage.film import Film
 from .footage.lens import Lens, read_lenses
 from .footage.listing import IMAGE_SUFFIXES, footage_files, is_foreign
@@ -30,6 +30,7 @@ from .footage.mask_names import match_masks
 from .footage.mask_pictures import MaskReader, survey_masks
 from .footage.shots import find_cuts, longest
 from .footage.video_reading import VIDEO_SUFFIXES
+from .handheld.room_motion import RoomMotion
 from .landmarks import Landmarks, read_landmarks
 
 
@@ -39,7 +40,8 @@ class Footage:
 
     film: all of it. numbers: (T,) which frames of it. mask_files: T files. read_mask: gives one as (H, W) uint8 alpha.
     size: (width, height) of the capture. lens: None when the camera is unknown. landmarks: of the chosen frames, in the
-    capture's undistorted pixels.
+    capture's undistorted pixels. empty: (H, W, 3) uint8 BGR as filmed, the room without the person, where it is known.
+    motion: of the room in the capture's pixels, where the camera moves.
     """
 
     film: Film
@@ -49,6 +51,8 @@ class Footage:
     size: tuple[int, int]
     lens: Lens | None
     landmarks: Landmarks
+    empty: np.ndarray | None = None
+    motion: RoomMotion | None = None
 
     @property
     def name(self) -> str:
@@ -65,6 +69,11 @@ class Footage:
     def camera(self) -> Camera | None:
         """The pinhole camera of the prepared images, or None when unknown."""
         return None if self.lens is None else self.lens.camera.resized(*self.size)
+
+    @property
+    def background(self) -> np.ndarray | None:
+        """(H, W, 3) uint8 BGR of the room without the person, undistorted and resized; None where it is not known."""
+        return None if self.empty is None else self._prepared(self.empty)
 
     def images(self) -> Iterator[np.ndarray]:
         """(H, W, 3) uint8 BGR of each chosen frame, undistorted and resized. UserError for an unreadable frame."""
@@ -224,12 +233,13 @@ def _take(
             f"`frames` leaves nothing of the {len(film.order)} frames of '{name}': choose a range inside "
             f"0:{len(film.order)}"
         )
-    cuts = find_cuts(film.images(film.order[moments]))
+    cuts, empty, motion = find_cuts(film.images(film.order[moments])), None, None
     if given is None:
         assert options.detector is not None  # `_beside` gives None only where something can look for the person
         moments, said = _one_shot(film, moments, cuts, "the scene changes", alone)
         notes += said
-        chosen, masks, rate, moments, said = _found(film, moments, options.detector, alone)
+        found, rate, moments, said = _found(film, moments, options.detector, alone)
+        chosen, masks, empty, motion = found.landmarks, found.mask_files, found.background, found.motion
         reader = MaskReader(False, False, 255)
     else:
         notes += _one_shot(film, moments, cuts, "the scene changes", False)[1]
@@ -242,7 +252,9 @@ def _take(
     size = (max(1, round(filmed[0] * scale)), max(1, round(filmed[1] * scale)))
     image = lens.undistort_points(chosen.image) if lens is not None and np.any(lens.distortion) else chosen.image
     chosen = dataclasses.replace(chosen, image=image * (np.array(size) / filmed), width=size[0], height=size[1])
-    footage = Footage(film, film.order[moments], masks, reader, size, lens, chosen)
+    if motion is not None:
+        motion = None if lens is not None else motion.scaled(*(np.array(size) / filmed))
+    footage = Footage(film, film.order[moments], masks, reader, size, lens, chosen, empty, motion)
     return _Taken(footage, rate, frames.step or 1, [*film.notes, *notes, *said])
 
 
@@ -263,14 +275,18 @@ def _how_much(film: Film, given: tuple[Path, Path] | None, options: SourceOption
 
 
 def _found(film: Film, moments: np.ndarray, detector: Detector, alone: bool
-           ) -> tuple[Landmarks, list[Path], float | None, np.ndarray, list[str]]:  # fmt: skip
-    """Landmarks and masks of the moments by looking, the rate, the moments of the person seen longest, and notes."""
+           ) -> tuple[Detection, float | None, np.ndarray, list[str]]:  # fmt: skip
+    """What looking finds in the moments of the person seen longest, the rate, these moments, and notes."""
     numbers = film.order[moments]
     detection = detector(film.name, lambda: film.images(numbers), numbers, film.rate)
     kept, said = _one_shot(film, moments, detection.changes, "another person is followed", alone)
     first = int(np.searchsorted(moments, kept[0]))
     part = slice(first, first + len(kept))
-    return detection.landmarks[part], detection.mask_files[part], film.rate, kept, detection.notes + said
+    seen = dataclasses.replace(
+        detection, landmarks=detection.landmarks[part], mask_files=detection.mask_files[part],
+        motion=detection.motion and detection.motion.taken(part),
+    )  # fmt: skip
+    return seen, film.rate, kept, detection.notes + said
 
 
 def _one_shot(film: Film, moments: np.ndarray, starts: list[int], what: str, choose: bool

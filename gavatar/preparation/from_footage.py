@@ -48,21 +48,23 @@ def prepare(
     frames: slice = slice(None), max_frames: int = MOST_FRAMES, size: int | None = None,
     landmarks: PathLike | None = None, masks: PathLike | None = None, cameras: PathLike | None = None,
     fov: float | None = None, refine_cameras: bool = False, holdout_camera: str | None = None,
-    pose_network: PathLike | None = None, body: str | Mapping[str, Any] | None = None, num_betas: int = FITTED_BETAS,
+    pose_network: PathLike | None = None, background: PathLike | None = None, matting_network: PathLike | None = None,
+    body: str | Mapping[str, Any] | None = None, num_betas: int = FITTED_BETAS,
     name: str | None = None, license: str = "unknown", preview: bool = True, overwrite: bool = False,
     progress: bool = True, say: Callable[[str], None] = print,
 ) -> PreparedCapture:  # fmt: skip
     """Find the person in footage, fit the body, write the capture `out`.
 
-    source: a video of one person before a camera that stands still, or a folder of footage, laid out as
-    docs/guide/your_own_video.md says. height: the person's, metres. fps: of the footage, where it does not say. frames:
-    which to take, else of a raw video every k-th so that at most `max_frames` remain. size: pixels of the images'
-    longer side. landmarks, masks, cameras: where they are when not beside the footage. fov: of an unknown camera,
-    degrees over the longer side (40). refine_cameras: calibrated principal points may move a little. holdout_camera:
-    kept from training, for novel views. pose_network: another landmark network (ONNX). body: name, or a dict of `name`
-    and its options, by default the one that comes with gavatar. num_betas: shape coefficients to fit. name, license: of
-    the capture. preview: write preview.png and preview.mp4. overwrite: replace `out`. say: is told what was found and
-    what to know of it.
+    source: a video of one person, or a folder of footage, laid out as docs/guide/your_own_video.md says. height:
+    the person's, metres. fps: of the footage, where it does not say. frames: which to take, else of a raw video
+    every k-th so that at most `max_frames` remain. size: pixels of the images' longer side. landmarks, masks,
+    cameras: where they are when not beside the footage. fov: of an unknown camera, degrees over the longer side
+    (40). refine_cameras: calibrated principal points may move a little. holdout_camera: kept from training, for
+    novel views. pose_network: another landmark network (ONNX). background: a picture of the room without anybody,
+    of a camera that stands still. matting_network: a network of yours that makes the masks (ONNX,
+    docs/guide/your_own_video.md says which). body: name, or a dict of `name` and its options, by default the one
+    that comes with gavatar. num_betas: shape coefficients to fit. name, license: of the capture. preview: write
+    preview.png and preview.mp4. overwrite: replace `out`. say: is told what was found and what to know of it.
 
     Raises UserError in one sentence, and leaves nothing at `out` then.
     """
@@ -78,7 +80,8 @@ def prepare(
     with tempfile.TemporaryDirectory(prefix="gavatar-masks-") as folder:
         opened = open_source(source, SourceOptions(
             landmarks=_path(landmarks), masks=_path(masks), cameras=_path(cameras), fps=fps, frames=frames, size=size,
-            detector=Detector(Path(folder), _path(pose_network), progress), most_frames=max_frames, largest=LARGEST,
+            detector=Detector(Path(folder), _path(pose_network), progress, background=_path(background),
+                              matting=_path(matting_network)), most_frames=max_frames, largest=LARGEST,
         ))  # fmt: skip
         for sentence in (f"found {opened.description}", *(f"note: {note}" for note in opened.notes)):
             say(sentence)
@@ -94,12 +97,10 @@ def prepare(
             options=FitOptions(stature=height, refine_cameras=refine_cameras, num_betas=num_betas), preview=preview,
             progress=progress,
         )  # fmt: skip
-    notes = tuple(opened.notes)
-    part = quality.coverage.sentence()
-    if part is not None:
-        say(f"note: {part}")
-        notes += (part,)
-    return PreparedCapture(out, opened.description, notes, quality)
+    part = [sentence for sentence in [quality.coverage.sentence()] if sentence]
+    for sentence in part:
+        say(f"note: {sentence}")
+    return PreparedCapture(out, opened.description, (*opened.notes, *part), quality)
 
 
 def _path(path: PathLike | None) -> Path | None:

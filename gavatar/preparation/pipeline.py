@@ -16,6 +16,7 @@ from ..body.skeleton import BodyData
 from .coverage import Coverage, covered
 from .fit import BodyFitter, Fit, FitOptions
 from .footage_source import Source
+from .handheld.turning_camera import turning_camera
 from .initial import DEFAULT_FOV, guess_camera
 from .landmarks import Landmarks
 from .silhouette import prepare_silhouettes
@@ -65,8 +66,14 @@ def fit_and_write(
         )
     known = all(footage.lens is not None for footage in source.footage)
     cameras = [(f.camera if known else None) or guess_camera(*f.size, fov) for f in source.footage]
-    silhouettes = [prepare_silhouettes(f.masks(), f.size) for f in source.footage]
-    landmarks = [f.landmarks for f in source.footage]
+    masks, landmarks = [f.masks() for f in source.footage], [f.landmarks for f in source.footage]
+    motion = source.footage[0].motion if len(source.footage) == 1 and not known else None
+    turning = None
+    if motion is not None:  # the fit sees what a camera that stands still would have seen
+        turning = turning_camera(motion, cameras[0])
+        cameras, landmarks = [turning.still], [turning.steadied(landmarks[0])]
+        masks = [turning.steadied_masks(masks[0])]
+    silhouettes = [prepare_silhouettes(m, (c.width, c.height)) for m, c in zip(masks, cameras, strict=True)]
     if options is not None and options.refine_cameras and not known:
         raise UserError("`refine_cameras` is for calibrated cameras, but this camera is unknown: leave it out")
     coverage = covered(cameras, landmarks)
@@ -78,9 +85,10 @@ def fit_and_write(
         dataclasses.replace(c, cx=c.cx + float(x), cy=c.cy + float(y))
         for c, (x, y) in zip(cameras, fit.shift, strict=True)
     ]
-    motion = Motion(fit.poses, fit.trans, source.fps, fit.betas, facts.name)
+    moved = Motion(fit.poses, fit.trans, source.fps, fit.betas, facts.name)
+    paths = [turning.frames(cameras[0])] if turning is not None else [[camera] for camera in cameras]
     facts = dataclasses.replace(facts, resting=coverage.resting)
-    scores = write_capture(out, source, cameras, data, motion, facts, overwrite, preview, progress)
+    scores = write_capture(out, source, paths, data, moved, facts, overwrite, preview, progress)
     return Quality(fit.image_error, scores, coverage)
 
 

@@ -87,7 +87,7 @@ def make_splits(cameras: list[str], frames: int, holdout_camera: str | None) -> 
 def write_capture(
     out: Path,
     source: Source,
-    cameras: list[Camera],
+    cameras: list[list[Camera]],
     data: BodyData,
     motion: Motion,
     facts: CaptureFacts,
@@ -95,7 +95,8 @@ def write_capture(
     preview: bool = True,
     progress: bool = True,
 ) -> np.ndarray:
-    """Write the capture; images are read, undistorted and written one by one.
+    """Write the capture; images are read, undistorted and written one by one. cameras: of each, one for all frames or
+    one a frame.
 
     Returns the intersection over union (C, T) of the drawn body and the mask. Nothing is left at `out` on failure.
     """
@@ -109,12 +110,16 @@ def write_capture(
                 tiles = []
                 for c, (image, mask) in enumerate(pairs):
                     _write_view(folder, names[c], t, image, mask, lossless=isinstance(source.footage[c].frames, list))
-                    camera = cameras[c]
+                    camera = cameras[c][t % len(cameras[c])]
                     score, tile = _draw(data, camera, motion, t, image, mask, preview)
                     scores[c, t] = score
                     tiles.append(tile)
                 drawn.add(t, tiles)
-        entries = {name: _camera_entry(camera) for name, camera in zip(names, cameras, strict=True)}
+        for footage in source.footage:
+            if footage.background is not None:
+                (folder / "backgrounds").mkdir(exist_ok=True)
+                write_image(folder / "backgrounds" / f"{footage.name}.png", footage.background[..., ::-1] / 255.0)
+        entries = {name: _camera_entry(path) for name, path in zip(names, cameras, strict=True)}
         write_json(folder / "cameras.json", entries)
         write_motion(folder / "body.npz", motion)
         info = {
@@ -129,9 +134,15 @@ def write_capture(
     return scores
 
 
-def _camera_entry(camera: Camera) -> dict:
+def _camera_entry(path: list[Camera]) -> dict:
+    """A camera; of one that moves the middle frame's, and under `per_frame` what differs from frame to frame."""
+    camera = path[len(path) // 2]
     entry = {key: getattr(camera, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
-    return {**entry, "world_to_camera": camera.T_camera_world.tolist()}
+    entry["world_to_camera"] = camera.T_camera_world.tolist()
+    if len(path) > 1:
+        moving = {key: [getattr(c, key) for c in path] for key in ("fx", "fy", "cx", "cy")}
+        entry["per_frame"] = moving | {"world_to_camera": [c.T_camera_world.tolist() for c in path]}
+    return entry
 
 
 def _write_view(folder: Path, camera: str, t: int, image: np.ndarray, mask: np.ndarray, lossless: bool) -> None:
