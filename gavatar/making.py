@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from gavatar_runtime.conversions import convert
 from gavatar_runtime.errors import MissingFile, UserError
+from gavatar_runtime.progress import chapter, duration
 from gavatar_runtime.tiers import player_tiers
 
 from .face import TrainedRun, open_capture, prepare, train
@@ -20,6 +23,7 @@ from .storage import atomic, write_json
 from .training.preview import LIVE
 
 ASKED = "make.json"  # what the folder's steps were asked for
+PREVIEW_EVERY = 50  # steps: a new picture every ten seconds or so for who watches
 EXPORTED = "exported.sha256"  # of the avatar that the bundle was made of
 
 
@@ -59,23 +63,39 @@ def make(
         raise MissingFile(f"{clip} does not exist: give a video, a folder of frames or a capture")
     folder = Path(out) if out is not None else clip.with_suffix("") if clip.is_file() else Path(f"{clip}_avatar")
     _claim(folder, clip, {"preset": preset, "settings": sorted(as_overrides(dict(settings or {}))), "footage": footage})
-    say("1/4  prepare: find the person and fit the body")
-    capture = _prepared(clip, folder, footage, say, progress)
-    say(f"2/4  train the avatar; to watch it: {folder / 'run' / 'previews' / LIVE}")
-    run = train(capture, preset, out=folder / "run", **{"progress": progress, "preview_every": 50, **(settings or {})})
+    began = time.monotonic()
+    with _step(1, "prepare: find the person and fit the body", say):
+        capture = _prepared(clip, folder, footage, say, progress)
+    with _step(2, f"train the avatar; to watch it: {folder / 'run' / 'previews' / LIVE}", say):
+        how = {"progress": progress, "preview_every": PREVIEW_EVERY, **(settings or {})}
+        run = train(capture, preset, out=folder / "run", **how)
     name = folder.resolve().name
     bundle, page = folder / f"{name}.gavatar", folder / f"{name}.html"
-    say("3/4  export to ONNX, verified against PyTorch")
-    record, state = folder / EXPORTED, _digest(run)
+    with _step(3, "export to ONNX, verified against PyTorch", say):
+        _exported(run, bundle, folder / EXPORTED, progress)
+    with _step(4, "the page", say):
+        if not page.exists() or page.stat().st_mtime < bundle.stat().st_mtime:
+            for note in convert(bundle, page):
+                say(f"note: {note}")
+    say(f"took {duration(time.monotonic() - began)} in all")
+    return MadeAvatar(page, bundle, run, capture)
+
+
+@contextlib.contextmanager
+def _step(number: int, sentence: str, say: Callable[[str], None]) -> Iterator[None]:
+    """One of the four, said before it, its number before every bar inside it."""
+    say(f"{number}/4  {sentence}")
+    with chapter(f"{number}/4"):
+        yield
+
+
+def _exported(run: TrainedRun, bundle: Path, record: Path, progress: bool) -> None:
+    """The bundle of a run, unless it was made of the same numbers before."""
+    state = _digest(run)
     if not (bundle.exists() and record.exists() and record.read_text(encoding="utf-8") == state):
         run.export(bundle, tiers=player_tiers().having(linear=True) if run.dynamic else (), progress=progress)
         with atomic(record) as temporary:
             temporary.write_text(state, encoding="utf-8")
-    say("4/4  the page")
-    if not page.exists() or page.stat().st_mtime < bundle.stat().st_mtime:
-        for note in convert(bundle, page):
-            say(f"note: {note}")
-    return MadeAvatar(page, bundle, run, capture)
 
 
 def _claim(folder: Path, clip: Path, asked: dict[str, Any]) -> None:

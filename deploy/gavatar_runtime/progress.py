@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import sys
 import time
@@ -17,6 +18,7 @@ SPEED_OVER = 30.0  # seconds that the speed is taken over: steps grow slower as 
 BAR_WIDTH = 24
 
 _label: str | None = None
+_chapter = ""
 
 
 def lines_only(label: str | None) -> None:
@@ -24,6 +26,17 @@ def lines_only(label: str | None) -> None:
     too. None takes it back."""
     global _label
     _label = label
+
+
+@contextlib.contextmanager
+def chapter(title: str) -> Iterator[None]:
+    """Inside, every bar and line begins with `title`: which part of something longer it is."""
+    global _chapter
+    former, _chapter = _chapter, title
+    try:
+        yield
+    finally:
+        _chapter = former
 
 
 def shown(
@@ -57,7 +70,7 @@ class Progress:
         stream: TextIO | None = None,
         clock: Callable[[], float] = time.monotonic,
     ):
-        self.title, self.total, self.unit, self.done = title, total, unit, done
+        self.title, self.total, self.unit, self.done = f"{_chapter} {title}".strip(), total, unit, done
         self.show, self.lasting = show, lasting
         self.figures: dict[str, float] = {}
         self._stream, self._clock = stream or sys.stderr, clock

@@ -138,3 +138,10 @@ def test_processes_that_share_a_terminal_write_lines_with_their_name():
 )
 def test_durations_are_in_the_unit_that_one_would_say(seconds, text):
     assert duration(seconds) == text
+
+
+def test_bars_of_a_chapter_begin_with_it():
+    with progress.chapter("2/4"):
+        inside = run(io.StringIO(), 2, 1.0, lasting=True)
+    assert inside == ["2/4 stage 1: 2/2 steps, loss 0.5, took 2 s"]
+    assert run(io.StringIO(), 2, 1.0, lasting=True) == ["stage 1: 2/2 steps, loss 0.5, took 2 s"]
