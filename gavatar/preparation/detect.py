@@ -14,6 +14,7 @@ from gavatar_runtime.errors import UserError
 from ..capture.capture import read_gray
 from .footage.shots import Wardrobe
 from .handheld.room_motion import RoomMotion, measure_room_motion
+from .hands.hand_network import HandNetworks
 from .landmarks import Landmarks
 from .plate.mending import MaskMaker
 from .pose_network import PoseNetworks
@@ -48,7 +49,7 @@ class Detector:
     def __init__(self, folder: Path, network: Path | None = None, progress: bool = True, *,
                  background: Path | None = None, matting: Path | None = None):  # fmt: skip
         self.folder, self.progress = folder, progress
-        self.networks = PoseNetworks(network)
+        self.networks, self.hands = PoseNetworks(network), HandNetworks()
         self.masks = MaskMaker(background, matting, progress)
 
     def __call__(
@@ -69,7 +70,7 @@ class Detector:
             if not cv2.imwrite(str(files[t]), mask):
                 raise UserError(f"{files[t]} could not be written: is the disk full?")
 
-        tracked = track(images, len(numbers), write, self.networks, f"'{name}'", fps, self.progress, watch)
+        tracked = track(images, len(numbers), write, self.networks, f"'{name}'", fps, self.progress, watch, self.hands)
         motion = None
         if steadiness.moved is not None and steadiness.moved > STEADY:
             motion = measure_room_motion(images(), (read_gray(file) for file in files))

@@ -250,8 +250,8 @@ def _take(
         notes += [how] if how else []
     scale = 1.0 if longest_side is None else longest_side / max(filmed)
     size = (max(1, round(filmed[0] * scale)), max(1, round(filmed[1] * scale)))
-    image = lens.undistort_points(chosen.image) if lens is not None and np.any(lens.distortion) else chosen.image
-    chosen = dataclasses.replace(chosen, image=image * (np.array(size) / filmed), width=size[0], height=size[1])
+    straight = lens.undistort_points if lens is not None and np.any(lens.distortion) else None
+    chosen = chosen.moved(straight, size, filmed)
     if motion is not None:
         motion = None if lens is not None else motion.scaled(*(np.array(size) / filmed))
     footage = Footage(film, film.order[moments], masks, reader, size, lens, chosen, empty, motion)

@@ -97,10 +97,9 @@ def prepare(
             options=FitOptions(stature=height, refine_cameras=refine_cameras, num_betas=num_betas), preview=preview,
             progress=progress,
         )  # fmt: skip
-    part = [sentence for sentence in [quality.coverage.sentence()] if sentence]
-    for sentence in part:
-        say(f"note: {sentence}")
-    return PreparedCapture(out, opened.description, (*opened.notes, *part), quality)
+    for note in quality.notes:
+        say(f"note: {note}")
+    return PreparedCapture(out, opened.description, (*opened.notes, *quality.notes), quality)
 
 
 def _path(path: PathLike | None) -> Path | None:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import dataclasses
 import os
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.values.body import SMPL_BODY_JOINTS, BodyData
+
+from .hands.hand_files import read_hands
+from .hands.landmarks import HandLandmarks, pixels_per_metre
 
 NAMES = (
     "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer",
@@ -71,7 +75,7 @@ class Landmarks:
     image: (T, 33, 2) pixels, continuous (the pixel of column j is centred at j + 0.5). visibility: (T, 33) in [0, 1];
     0 = not seen, and then the other numbers mean nothing (they are set to zero). world: (T, 33, 3) metres around the
     hips' centre, along the camera's axes (x right, y down, z away). fps: frames per second or None.
-    width, height: pixels of the image the points were found in, or None.
+    width, height: pixels of the image the points were found in, or None. hands: the 21 points of each hand, or None.
     """
 
     image: np.ndarray
@@ -80,18 +84,35 @@ class Landmarks:
     fps: float | None = None
     width: int | None = None
     height: int | None = None
+    hands: HandLandmarks | None = None
 
     def __len__(self) -> int:
         return len(self.image)
 
     def __getitem__(self, frames: slice | np.ndarray) -> Landmarks:
+        hands = None if self.hands is None else self.hands[frames]
         return dataclasses.replace(
-            self, image=self.image[frames], visibility=self.visibility[frames], world=self.world[frames]
+            self, image=self.image[frames], visibility=self.visibility[frames], world=self.world[frames], hands=hands
         )
+
+    def moved(self, undistorted: Callable[[np.ndarray], np.ndarray] | None, size: tuple[int, int],
+              filmed: tuple[int, int]) -> Landmarks:  # fmt: skip
+        """In pixels of an image of `size` (width, height) instead of the one that was `filmed`. undistorted: takes
+        filmed pixels (..., 2) to those without the lens' distortion."""
+        factor = np.array(size) / filmed
+
+        def move(points: np.ndarray) -> np.ndarray:
+            return (points if undistorted is None else undistorted(points)) * factor
+
+        hands = self.hands
+        if hands is not None:
+            hands = HandLandmarks(move(hands.image), hands.world, hands.weight, hands.size * float(factor.mean()))
+        return dataclasses.replace(self, image=move(self.image), width=size[0], height=size[1], hands=hands)
 
 
 def read_landmarks(path: str | os.PathLike) -> Landmarks:
-    """Read a landmarks .npz: `image` and `world` (T, 33, 4), x y z visibility, `fps`, `width`, `height` where known.
+    """Read a landmarks .npz: `image` and `world` (T, 33, 4), x y z visibility, `fps`, `width`, `height` where known,
+    and points of hands where there are any (`hands.hand_files.read_hands`).
 
     Raises UserError, naming file and field, for an unreadable file, another number of points, NaN in a point that
     counts as seen, or image coordinates that are plainly normalised instead of pixels.
@@ -136,10 +157,12 @@ def read_landmarks(path: str | os.PathLike) -> Landmarks:
     size = [_scalar(path, arrays, key) for key in ("fps", "width", "height")]
     if seen.any() and np.abs(image).max() <= 2 and (size[1] or 512) > 8:
         raise UserError(f"{path}: 'image' looks normalised (all within 2); give pixels: multiply by width and height")
+    world = np.where(seen, points["world"][..., :3], 0).astype(np.float64)
     return Landmarks(
         image=image,
         visibility=visibility,
-        world=np.where(seen, points["world"][..., :3], 0).astype(np.float64),
+        world=world,
+        hands=read_hands(path, arrays, pixels_per_metre(image, world, seen[..., 0])),
         fps=size[0],
         width=None if size[1] is None else int(size[1]),
         height=None if size[2] is None else int(size[2]),

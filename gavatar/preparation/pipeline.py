@@ -17,6 +17,8 @@ from .coverage import Coverage, covered
 from .fit import BodyFitter, Fit, FitOptions
 from .footage_source import Source
 from .handheld.turning_camera import turning_camera
+from .hands.anatomy import has_fingers
+from .hands.fit import HandFit, fit_hands
 from .initial import DEFAULT_FOV, guess_camera
 from .landmarks import Landmarks
 from .silhouette import prepare_silhouettes
@@ -28,11 +30,18 @@ MEETS = 0.15  # most that landmarks may be off, of the size in which they are se
 @dataclasses.dataclass(frozen=True)
 class Quality:
     """How well the body fits. image_error: (C, T, 33) pixels, NaN where not seen. iou: (C, T). coverage: what of the
-    person was seen."""
+    person was seen. hands: how wrists and fingers were fitted, or None on a body without fingers."""
 
     image_error: np.ndarray
     iou: np.ndarray
     coverage: Coverage = dataclasses.field(default_factory=Coverage)
+    hands: HandFit | None = None
+
+    @property
+    def notes(self) -> list[str]:
+        """What was not seen and so not fitted, sentences for a user."""
+        part = self.coverage.sentence()
+        return [*([] if part is None else [part]), *([] if self.hands is None else self.hands.sentences())]
 
     def sentence(self) -> str:
         """All in one line, for a user."""
@@ -85,11 +94,21 @@ def fit_and_write(
         dataclasses.replace(c, cx=c.cx + float(x), cy=c.cy + float(y))
         for c, (x, y) in zip(cameras, fit.shift, strict=True)
     ]
+    fit, hands = _with_hands(data, fit, cameras, landmarks, source.fps, coverage)
     moved = Motion(fit.poses, fit.trans, source.fps, fit.betas, facts.name)
     paths = [turning.frames(cameras[0])] if turning is not None else [[camera] for camera in cameras]
     facts = dataclasses.replace(facts, resting=coverage.resting)
     scores = write_capture(out, source, paths, data, moved, facts, overwrite, preview, progress)
-    return Quality(fit.image_error, scores, coverage)
+    return Quality(fit.image_error, scores, coverage, hands)
+
+
+def _with_hands(data: BodyData, fit: Fit, cameras: list[Camera], landmarks: list[Landmarks], fps: float,
+                coverage: Coverage) -> tuple[Fit, HandFit | None]:  # fmt: skip
+    if not has_fingers(data):
+        return fit, None
+    seen = [marks.hands for marks in landmarks]
+    hands = fit_hands(data, cameras, seen, fit.poses, fit.trans, fit.betas, fps, coverage.resting)
+    return dataclasses.replace(fit, poses=hands.poses), hands
 
 
 def require_meeting(fit: Fit, cameras: list[Camera], landmarks: list[Landmarks]) -> None:

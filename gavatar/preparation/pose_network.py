@@ -131,7 +131,8 @@ def merge_overlapping(boxes: np.ndarray, scores: np.ndarray, overlap: float = OV
     return groups
 
 
-def _session(path: Path) -> onnxruntime.InferenceSession:
+def open_network(path: Path) -> onnxruntime.InferenceSession:
+    """The network in an ONNX file, ready to run. Raises UserError for a file that holds none."""
     try:
         return onnxruntime.InferenceSession(str(path), session_options(), providers=["CPUExecutionProvider"])
     except Exception as error:  # the runtime's own error classes differ from version to version
@@ -144,8 +145,8 @@ class PoseNetworks:
     def __init__(self, landmark_file: Path | None = None):
         """landmark_file: another landmark network with the same inputs and outputs, such as MediaPipe's heavy one."""
         with as_file(files("gavatar.data") / "pose") as folder:
-            self.detector = _session(folder / "pose_detection.onnx")
-            self.landmarker = _session(landmark_file or folder / "pose_landmark_full.onnx")
+            self.detector = open_network(folder / "pose_detection.onnx")
+            self.landmarker = open_network(landmark_file or folder / "pose_landmark_full.onnx")
         self.anchors = anchors()
 
     def detect(self, image: np.ndarray) -> list[TrackedPerson]:

@@ -12,6 +12,8 @@ from gavatar_runtime.errors import UserError
 from gavatar_runtime.geometry.spacing import evenly_spaced
 from gavatar_runtime.progress import shown
 
+from .hands.hand_network import HandNetworks
+from .hands.track import HandTracker
 from .landmarks import Landmarks
 from .matting import refine_mask
 from .pose_network import Pose, PoseNetworks, TrackedPerson
@@ -85,11 +87,13 @@ def track(
     fps: float | None = None,
     progress: bool = True,
     watch: Callable[[np.ndarray, np.ndarray], None] = lambda image, mask: None,
+    hand_networks: HandNetworks | None = None,
 ) -> Tracked:
     """Follow the largest person through `count` images (H, W, 3) uint8 BGR and hand each mask (H, W) to `write_mask`.
 
     images: gives the images from the start each time it is called (twice). what: the footage's name, for messages.
-    watch: is shown every image with its mask. Raises UserError when nobody is found.
+    watch: is shown every image with its mask. hand_networks: look for the hands too. Raises UserError when nobody is
+    found.
     """
     sample = set(evenly_spaced(count, LOOK_AROUND).tolist())
     side, people = largest_person((image for t, image in enumerate(images()) if t in sample), networks)
@@ -101,9 +105,12 @@ def track(
     image_points, world, visibility = np.zeros((count, 33, 2)), np.zeros((count, 33, 3)), np.zeros((count, 33))
     sharpness, cut = np.full(count, np.nan), np.zeros((count, 4), bool)
     size = (0, 0)
+    hands = None if hand_networks is None else HandTracker(hand_networks, count)
     found = poses(images(), networks, SIMILAR * side)
     for t, (image, pose) in enumerate(shown(found, f"find person in {what}", "frame", total=count, show=progress)):
         size = image.shape[1], image.shape[0]
+        if hands is not None:
+            hands.look(t, image, pose)
         mask = np.zeros(image.shape[:2], np.uint8)
         if pose is not None:
             image_points[t], world[t] = pose.image[:, :2], pose.world
@@ -114,7 +121,8 @@ def track(
         watch(image, mask)
     if not (visibility > 0).any():
         raise UserError(f"a person was seen in {what}, but their landmarks in no frame: are they too small or hidden?")
-    return Tracked(Landmarks(image_points, visibility, world, fps, *size), people, sharpness, cut)
+    landmarks = Landmarks(image_points, visibility, world, fps, *size, None if hands is None else hands.result())
+    return Tracked(landmarks, people, sharpness, cut)
 
 
 def _inside(points: np.ndarray, size: tuple[int, int]) -> np.ndarray:

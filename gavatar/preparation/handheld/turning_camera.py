@@ -14,6 +14,7 @@ from gavatar_runtime.geometry.rotations import axis_angle_from_matrix, matrix_fr
 from gavatar_runtime.values.camera import Camera
 
 from ..coverage import in_picture
+from ..hands.landmarks import HandLandmarks
 from ..landmarks import Landmarks
 from .room_motion import RoomMotion
 
@@ -55,8 +56,16 @@ class TurningCamera:
         roll = np.arctan2(self.rotations[:, 1, 0], self.rotations[:, 0, 0])  # a network's axes follow the picture's
         c, s = np.cos(roll), np.sin(roll)
         turn = np.moveaxis(np.array([[c, s, 0 * c], [-s, c, 0 * c], [0 * c, 0 * c, 0 * c + 1]]), -1, 0)
+        hands = marks.hands
+        if hands is not None:
+            seen = np.concatenate([hands.image, np.ones_like(hands.image[..., :1])], -1)
+            seen = np.einsum("tab,thkb->thka", H, seen)
+            hands = HandLandmarks(
+                seen[..., :2] / np.maximum(seen[..., 2:], 1e-6), np.einsum("tab,thkb->thka", turn, hands.world),
+                hands.weight, hands.size,
+            )  # fmt: skip
         return dataclasses.replace(
-            marks, image=image, world=np.einsum("tab,tkb->tka", turn, marks.world),
+            marks, image=image, world=np.einsum("tab,tkb->tka", turn, marks.world), hands=hands,
             visibility=np.where(in_picture(frame, marks.image), marks.visibility, 0), width=self.still.width,
             height=self.still.height,
         )  # fmt: skip
