@@ -22,7 +22,8 @@ Without landmarks and masks the person is found by MediaPipe's pose networks, wh
 people the largest is followed. What you have may be given in files.
 
 landmarks.npz holds MediaPipe's 33 points: image (T, 33, 4) x, y in pixels, z, visibility; world (T, 33, 4) in metres;
-fps. Points that were not seen have visibility 0.
+fps. Points that were not seen have visibility 0. It may hold hands too: left_hand, right_hand (T, 21, 3) x, y in
+pixels, confidence, or wholebody (T, 133, 3) in COCO-WholeBody's order.
 
 examples
   gavatar-prepare clip.mp4 -o captures/anna --height 1.72

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 
+import cv2
 import numpy as np
 import pytest
 from commands import run_prepare
@@ -71,6 +72,42 @@ def test_landmarks_sit_where_they_do_on_the_same_mesh(models, family):
     # SMPL has one joint for all knuckles: half a palm away at most, the thumb's tip a thumb's length
     limit = 0.12 if family == "smpl" else 1e-6
     assert np.linalg.norm(points[hand] - expected[hand], axis=-1).max() < limit
+
+
+@pytest.mark.parametrize("family", ["smplh", "smplx"])
+def test_hands_in_a_landmarks_file_close_the_fingers_of_official_bodies(models, family, footage, tmp_path):
+    body = model(models, family)
+    with np.load(footage / "landmarks.npz") as file:
+        arrays = dict(file)
+    # a fist before the picture's plane: every finger folded back on itself, 30 pixels from wrist to knuckle
+    fist = np.zeros((3, 21, 3))
+    for f in range(5):
+        x = 8.0 * (f - 2)
+        fist[:, 4 * f + 1 : 4 * f + 5, :2] = [[x, -15], [x, -22], [x, -15], [x, -8]] if f == 0 else [
+            [x, -30], [x, -38], [x, -30], [x, -22]]  # fmt: skip
+    for side in ("left", "right"):
+        wrist = arrays["image"][:, INDEX[f"{side}_wrist"], :2]
+        hand = fist / 4 * ([1, 1, 1] if side == "left" else [-1, 1, 1])  # pixels of this small picture
+        hand[..., :2] += wrist[:, None]
+        hand[..., 2] = 1
+        arrays[f"{side}_hand"] = hand
+    size = np.array([640, 853]) / [96, 128]  # the points of a picture large enough for fingers to count
+    arrays["image"][..., :2] *= size
+    for side in ("left", "right"):
+        arrays[f"{side}_hand"][..., :2] *= size
+    arrays["width"], arrays["height"] = 640, 853
+    for kind in ("frames", "masks"):
+        for path in sorted((footage / kind).iterdir()):
+            picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            cv2.imwrite(str(path), cv2.resize(picture, (640, 853)))
+    np.savez(footage / "landmarks.npz", **arrays)
+    out = tmp_path / "capture"
+    options = ("--body", family, "--gender", "female", "--body-path", models, "--quiet", "--no-preview")
+    assert run_prepare(footage, "-o", out, *options) == 0
+    poses = read_capture(out).motion.poses
+    names = list(body.joint_names)
+    middle = np.linalg.norm(poses[:, [names.index(f"{side}_middle2") for side in ("left", "right")]], axis=-1)
+    assert (middle > 0.8).all()  # radians; relaxed it is 0.5, and folded back on itself 2
 
 
 @pytest.mark.parametrize("family", FILES)
