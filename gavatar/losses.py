@@ -45,9 +45,10 @@ class LossInputs:
     render: (B, 3, H, W) composited over the batch's background, [0, 1]. target: (B, 3, H, W) footage over the same
     background. alpha: (B, H, W) rendered. mask: (B, H, W) footage alpha in [0, 1].
     features: (1, C, R, R) learnable feature tensor. pose_features: (B, C, R, R). pose_detail: (B, M, 3) what of the
-    colours' change with the pose is finer than 5 cm on the body, at some of the points. offsets: (B or 1, N, 3) metres.
-    scales: (B or 1, N) or (B or 1, N, 3) metres. motion: the pose table, absent when poses are fixed. progress: 0..1 of
-    the stage.
+    colours' change with the pose is finer than 5 cm on the body, at some of the points. to_neighbours: (B or 1, N, 7 or
+    more) colours, offsets in centimetres and scales in spacings, less those of one of the points next to each on the
+    body, absent while the look stands still. offsets: (B or 1, N, 3) metres. scales: (B or 1, N) or (B or 1, N, 3)
+    metres. motion: the pose table, absent when poses are fixed. progress: 0..1 of the stage.
     """
 
     render: Tensor
@@ -57,6 +58,7 @@ class LossInputs:
     features: Tensor | None = None
     pose_features: Tensor | None = None
     pose_detail: Tensor | None = None
+    to_neighbours: Tensor | None = None
     offsets: Tensor | None = None
     scales: Tensor | None = None
     motion: MotionState | None = None

@@ -25,14 +25,14 @@ from .plan import Plan
 from .pose_learning import PoseLearner
 from .record import Record
 from .remedies.acceptance import dynamics_verdict, refuse_worse_poses
-from .remedies.coarseness import FinePart, fine_rms
+from .remedies.coarseness import FinePart, ToNeighbours, fine_rms
 from .remedies.evidence import evidence_of
 from .remedies.exposure import RATE as EXPOSURE_RATE
 from .remedies.facing import facing_texels
 from .remedies.judging import colours_beyond, look
 from .remedies.left_out import left_out_rows
 from .remedies.outliers import judging_scale, mend_outliers
-from .remedies.prior import SURE, Prior, fill
+from .remedies.prior import SURE, Prior, fill, measured
 from .scene import Scene
 from .schedule import background_at, batch_rows, last_level_start, level_at, lr_factor
 from .verdicts import FillingVerdict, Look, ResidualVerdict
@@ -64,7 +64,7 @@ class Stage:
         self.left_out = left_out_rows(places, scene.frames_of(views)) if plan.leaves_out else []
         self.learning = [row for row in views if row not in set(self.left_out)]
         self.rows = self.learning if plan.dynamic else list(views)
-        self._fine_part = FinePart()
+        self._fine_part, self._to_neighbours = FinePart(), ToNeighbours()
         self._still: tuple[Surface, Tensor] | None = None  # colours of the one look, and where
         self.shares = draw_shares(self.new[self.rows]) if plan.draws_new and plan.dynamic else None
         self.optimizers, self._rates = self._make_optimizers()
@@ -225,7 +225,7 @@ class Stage:
         if step == plan.prior_step:
             self._fill(image)
         rows = [self.rows[r] for r in batch_rows(plan.seed, len(self.rows), plan.stage.batch, step, self.shares)]
-        inputs, attributes = self._draw(rows, image, background_at(plan.background, plan.seed, step), progress)
+        inputs, attributes = self._draw(rows, image, background_at(plan.background, plan.seed, step), step)
         total, values = self.losses(inputs)
         if self.prior is not None:
             total = total + self.prior.loss(self.scene.avatar, attributes)
@@ -262,10 +262,11 @@ class Stage:
         self.record.evidence(scene)
 
     def _draw(
-        self, rows: list[int], image: float, background: torch.Tensor, progress: float
+        self, rows: list[int], image: float, background: torch.Tensor, step: int
     ) -> tuple[LossInputs, Attributes]:
         """The views in `rows` and what the losses look at beside them, and what was decoded for them."""
         scene, plan, frames = self.scene, self.plan, self.scene.frames_of(rows)
+        progress = step / max(1, plan.stage.steps)
         pose_features = scene.pose_features(frames) if plan.dynamic else None
         attributes = scene.avatar.attributes(pose_features)
         seen = scene.compare(rows, image, attributes, background=background)
@@ -280,12 +281,19 @@ class Stage:
             features=scene.avatar.features if plan.learns_features else None,
             pose_features=pose_features,
             pose_detail=None if pose_features is None else self._pose_detail(attributes),
+            to_neighbours=self._differences(attributes, step),
             offsets=attributes.offsets,
             scales=attributes.scales,
             progress=progress,
             motion=motion,
         )
         return inputs, attributes
+
+    def _differences(self, attributes: Attributes, step: int) -> Tensor | None:
+        if not (self.plan.learns_decoder or self.plan.learns_features):
+            return None
+        avatar = self.scene.avatar
+        return self._to_neighbours(measured(avatar, attributes), avatar.surface, step)
 
     def _pose_detail(self, attributes: Attributes) -> Tensor:
         avatar = self.scene.avatar

@@ -48,7 +48,7 @@ def motion(axis_angle, trans=None, fps=30.0, times=None, initial=None) -> Motion
     )
 
 
-FIELDS = ("render", "alpha", "features", "pose_features", "pose_detail", "offsets", "scales")
+FIELDS = ("render", "alpha", "features", "pose_features", "pose_detail", "to_neighbours", "offsets", "scales")
 
 
 def perfect(batch=1, height=40, width=33, dtype=torch.float32) -> LossInputs:
@@ -60,6 +60,7 @@ def perfect(batch=1, height=40, width=33, dtype=torch.float32) -> LossInputs:
         "render": target.clone(), "alpha": mask.clone(), "features": torch.zeros(1, 4, 8, 8, dtype=dtype),
         "pose_features": torch.zeros(batch, 4, 8, 8, dtype=dtype), "offsets": torch.zeros(batch, 9, 3, dtype=dtype),
         "scales": torch.zeros(1, 9, dtype=dtype), "pose_detail": torch.zeros(batch, 9, 3, dtype=dtype),
+        "to_neighbours": torch.zeros(1, 9, 7, dtype=dtype),
     }  # fmt: skip
     still = motion(torch.zeros(4, 5, 3, dtype=dtype))
     state = dataclasses.replace(still, rotations=still.rotations.requires_grad_(), trans=still.trans.requires_grad_())

@@ -17,6 +17,7 @@ from ..scene import Scene
 RADIUS = 0.05  # metres in the canonical pose: what is finer than this is texture
 LOOKED_AT = 8192  # points that the penalty looks at, each with `AROUND` others of those about it
 AROUND = 16
+NEXT = 6  # points that lie about each of an even sampling
 MEASURED_POINTS, MEASURED_VIEWS = 2000, 32
 
 
@@ -44,6 +45,24 @@ class FinePart:
         chosen, near = (index.to(values.device) for index in self._known[1:])
         mean = values[:, near.flatten()].unflatten(1, near.shape).mean(2)
         return values[:, chosen] - mean
+
+
+class ToNeighbours:
+    """What points carry, less what one of those next to each carries; who is next is found anew for each surface."""
+
+    def __init__(self) -> None:
+        self._known: tuple[weakref.ref[Surface], Tensor] | None = None
+
+    def __call__(self, values: Tensor, surface: Surface, step: int) -> Tensor | None:
+        """(B, N, C) on the points of `surface` -> the same less those of a neighbour, another of the `NEXT` nearest in
+        the canonical pose each step; None of a single point."""
+        if len(surface) < 2:
+            return None
+        if self._known is None or self._known[0]() is not surface:
+            near = cKDTree(surface.points).query(surface.points, min(NEXT + 1, len(surface)))[1]
+            self._known = weakref.ref(surface), torch.from_numpy(near[:, 1:].copy())
+        near = self._known[1]
+        return values - values[:, near[:, step % near.shape[1]].to(values.device)]
 
 
 @torch.no_grad()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +11,7 @@ from make_bundle import free_body
 
 from gavatar.avatar.atlas import sample_atlas
 from gavatar.losses import LossComposer, LossInputs
-from gavatar.training.remedies.coarseness import RADIUS, FinePart, surroundings
+from gavatar.training.remedies.coarseness import NEXT, RADIUS, FinePart, ToNeighbours, surroundings
 
 
 @pytest.fixture(scope="module")
@@ -58,3 +60,30 @@ def test_the_loss_is_the_mean_square_and_abstains_without_an_encoder():
     total, values = composer(inputs)
     assert values == {"pose_detail": pytest.approx(0.25)}
     assert float(total) == pytest.approx(0.5)
+
+
+def test_neighbours_are_the_nearest_points_one_after_another(surface):
+    points = torch.from_numpy(surface.points)
+    apart = ToNeighbours()
+    steps = [apart(points[None], surface, step)[0].norm(dim=1) for step in range(NEXT)]
+    assert all((a <= b + 1e-6).all() for a, b in itertools.pairwise(steps))
+    assert (steps[-1] > 0).all()  # some texels of an atlas share a place
+    assert torch.equal(apart(points[None], surface, NEXT)[0].norm(dim=1), steps[0])
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_few_points_have_few_neighbours(surface, count):
+    few = surface.take(np.arange(count))
+    got = ToNeighbours()(torch.arange(float(count))[None, :, None], few, 1)
+    assert got is None if count == 1 else (got != 0).all()
+
+
+def test_roughness_is_the_mean_difference_and_abstains_where_the_look_stands_still():
+    image = torch.zeros(1, 3, 8, 8)
+    inputs = LossInputs(render=image, target=image, alpha=image[:, 0], mask=image[:, 0])
+    composer = LossComposer({"roughness": {"weight": 2.0, "offset": 0.5, "scale": 0.25}})
+    assert composer(inputs)[1] == {}
+    inputs.to_neighbours = torch.cat([torch.full((1, 4, n), v) for n, v in ((3, -0.5), (3, 2.0), (1, -4.0))], 2)
+    total, values = composer(inputs)
+    assert values == {"roughness": pytest.approx(0.5 + 0.5 * 2.0 + 0.25 * 4.0)}
+    assert float(total) == pytest.approx(2 * 2.5)
