@@ -15,7 +15,7 @@ class RoughnessConfig(LossConfig):
     """weight: of differences of colour. offset: how much a centimetre of offset counts beside the range of a colour,
     scale: how much a spacing of scale does."""
 
-    weight: float = 0.02
+    weight: float = 0.01
     offset: float = 0.0
     scale: float = 0.0
 
