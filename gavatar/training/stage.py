@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from gavatar_runtime.errors import UserError
 from gavatar_runtime.progress import Progress
-from gavatar_runtime.values.surface import Surface
 
 from ..attributes import Attributes
 from ..losses import LossComposer, LossInputs
@@ -25,14 +23,14 @@ from .plan import Plan
 from .pose_learning import PoseLearner
 from .record import Record
 from .remedies.acceptance import dynamics_verdict, refuse_worse_poses
-from .remedies.coarseness import FinePart, ToNeighbours, fine_rms
+from .remedies.coarseness import Unevenness, fine_rms
 from .remedies.evidence import evidence_of
 from .remedies.exposure import RATE as EXPOSURE_RATE
 from .remedies.facing import facing_texels
 from .remedies.judging import colours_beyond, look
 from .remedies.left_out import left_out_rows
 from .remedies.outliers import judging_scale, mend_outliers
-from .remedies.prior import SURE, Prior, fill, measured
+from .remedies.prior import SURE, Prior, fill
 from .scene import Scene
 from .schedule import background_at, batch_rows, last_level_start, level_at, lr_factor
 from .verdicts import FillingVerdict, Look, ResidualVerdict
@@ -64,8 +62,7 @@ class Stage:
         self.left_out = left_out_rows(places, scene.frames_of(views)) if plan.leaves_out else []
         self.learning = [row for row in views if row not in set(self.left_out)]
         self.rows = self.learning if plan.dynamic else list(views)
-        self._fine_part, self._to_neighbours = FinePart(), ToNeighbours()
-        self._still: tuple[Surface, Tensor] | None = None  # colours of the one look, and where
+        self._uneven = Unevenness()
         self.shares = draw_shares(self.new[self.rows]) if plan.draws_new and plan.dynamic else None
         self.optimizers, self._rates = self._make_optimizers()
         scene.avatar.decoder.requires_grad_(plan.learns_decoder)
@@ -270,7 +267,7 @@ class Stage:
         pose_features = scene.pose_features(frames) if plan.dynamic else None
         attributes = scene.avatar.attributes(pose_features)
         seen = scene.compare(rows, image, attributes, background=background)
-        motion = None
+        motion, learns = None, plan.learns_decoder or plan.learns_features
         if plan.poses_move_at(progress):
             motion = self.poses.state(len(set(frames)), self.record.verdicts.frames_mended or [])
         inputs = LossInputs(
@@ -280,28 +277,14 @@ class Stage:
             mask=seen.mask,
             features=scene.avatar.features if plan.learns_features else None,
             pose_features=pose_features,
-            pose_detail=None if pose_features is None else self._pose_detail(attributes),
-            to_neighbours=self._differences(attributes, step),
+            pose_detail=None if pose_features is None else self._uneven.with_pose(scene.avatar, attributes, learns),
+            to_neighbours=self._uneven.between_neighbours(scene.avatar, attributes, step) if learns else None,
             offsets=attributes.offsets,
             scales=attributes.scales,
             progress=progress,
             motion=motion,
         )
         return inputs, attributes
-
-    def _differences(self, attributes: Attributes, step: int) -> Tensor | None:
-        if not (self.plan.learns_decoder or self.plan.learns_features):
-            return None
-        avatar = self.scene.avatar
-        return self._to_neighbours(measured(avatar, attributes), avatar.surface, step)
-
-    def _pose_detail(self, attributes: Attributes) -> Tensor:
-        avatar = self.scene.avatar
-        changes = self.plan.learns_decoder or self.plan.learns_features
-        if changes or self._still is None or self._still[0] is not avatar.surface:
-            with torch.no_grad():
-                self._still = avatar.surface, avatar.attributes().colors
-        return self._fine_part(attributes.colors - self._still[1], avatar.surface)
 
     def _update(self, rows: list[int], progress: float) -> None:
         plan, optimizers = self.plan, self.optimizers

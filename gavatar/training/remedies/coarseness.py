@@ -12,7 +12,10 @@ from torch import Tensor
 from gavatar_runtime.geometry.spacing import evenly_spaced
 from gavatar_runtime.values.surface import Surface
 
+from ...attributes import Attributes
+from ...avatar.trainable import Avatar
 from ..scene import Scene
+from .prior import measured
 
 RADIUS = 0.05  # metres in the canonical pose: what is finer than this is texture
 LOOKED_AT = 8192  # points that the penalty looks at, each with `AROUND` others of those about it
@@ -63,6 +66,26 @@ class ToNeighbours:
             self._known = weakref.ref(surface), torch.from_numpy(near[:, 1:].copy())
         near = self._known[1]
         return values - values[:, near[:, step % near.shape[1]].to(values.device)]
+
+
+class Unevenness:
+    """How what an avatar decodes to differs from point to point, for the losses that want it even."""
+
+    def __init__(self) -> None:
+        self._fine_part, self._to_neighbours = FinePart(), ToNeighbours()
+        self._still: tuple[Surface, Tensor] | None = None  # colours of the one look, and where
+
+    def with_pose(self, avatar: Avatar, attributes: Attributes, learns: bool) -> Tensor:
+        """`LossInputs.pose_detail` of attributes in B poses. learns: the one look is learnt too, and another each
+        step."""
+        if learns or self._still is None or self._still[0] is not avatar.surface:
+            with torch.no_grad():
+                self._still = avatar.surface, avatar.attributes().colors
+        return self._fine_part(attributes.colors - self._still[1], avatar.surface)
+
+    def between_neighbours(self, avatar: Avatar, attributes: Attributes, step: int) -> Tensor | None:
+        """`LossInputs.to_neighbours` of what was decoded."""
+        return self._to_neighbours(measured(avatar, attributes), avatar.surface, step)
 
 
 @torch.no_grad()
