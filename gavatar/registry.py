@@ -59,11 +59,13 @@ class EncoderTraits:
 class DecoderTraits:
     """counts_steps: its `on_step` is called before each training step of stage 1. mixed_precision: it may be trained
     under autocast to bfloat16 and gives float32 even then. not_exported: why an avatar with such a decoder is not
-    exported, '' if it is."""
+    exported, '' if it is. finds_floor: its buffer `floor`, the smallest scale in units of the spacing, is set in the
+    course of stage 1 by what shows through."""
 
     counts_steps: bool = False
     mixed_precision: bool = False
     not_exported: str = ""
+    finds_floor: bool = False
 
 
 @dataclasses.dataclass(frozen=True)

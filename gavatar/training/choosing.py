@@ -13,6 +13,7 @@ from .remedies.brightness import brightness
 from .remedies.exposure import Exposure
 from .remedies.mask_border import MaskBorder, mask_border
 from .remedies.pose_quality import UNSTEADY, unsteadiness
+from .remedies.see_through import FLOORS, least_floor, see_through
 from .remedies.shape import new_shape
 from .remedies.shape_trial import shape_trial
 from .scene import Scene
@@ -78,6 +79,19 @@ class Chooser:
                 scene.shape = new_shape(scene.built).to(scene.device)
         self.record.verdicts.chose("motion.betas", choice)
         return bool(choice.value)
+
+    def floor(self, image: float) -> None:
+        """`decoder.scale_floor` where it is left to the footage, by what shows through the avatar as it is. image:
+        scale of the images trained on."""
+        decoder = self.scene.avatar.decoder
+        if not self.scene.avatar.decoder_traits.finds_floor or "decoder.scale_floor" in self.choices:
+            return
+        shares = see_through(self.scene, image, FLOORS)
+        value = least_floor(shares)
+        decoder.floor.fill_(value)
+        through = f"{100 * shares[0]:.2f} % of the body would be see-through from elsewhere"
+        told = f"{through}: points no smaller than {value} of their spacing" if value else f"{through}: left as it is"
+        self.record.verdicts.chose("decoder.scale_floor", Choice(value, round(shares[0], 5), told))
 
     def mended(self, wrong: Mapping[str, list[int]]) -> None:
         """Note which frames were mended, by what was wrong with them."""

@@ -251,6 +251,8 @@ class Stage:
 
     def _fill(self, image: float) -> None:
         scene = self.scene
+        if not self.plan.dynamic:
+            self.chooser.floor(image)
         scene.evidence = evidence_of(scene, image)
         self.prior = fill(scene.avatar, scene.evidence.evidence, scene.built.head, fit=self.plan.learns_features)
         sure = scene.evidence.evidence.confidence

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from gavatar.attributes import Attributes
+from gavatar.config import AUTO, is_number
 from gavatar.registry import DECODERS, DecoderTraits
 from gavatar_runtime.errors import UserError
 
@@ -18,8 +20,9 @@ from gavatar_runtime.errors import UserError
 class MlpConfig:
     """widths: of the shared layers. skip: the layer (from 0) that sees the input again, -1 for none. head_width: of
     the hidden layer of each head. offset_limit: metres, offsets are bounded by construction. scale_limit: largest
-    scale in units of the point spacing; scale_init: at the start, same units. scale_floor: smallest scale, same units:
-    above zero, Gaussians that the pixel filter widened in small training images leave no gaps when seen from nearer.
+    scale in units of the point spacing; scale_init: at the start, same units. scale_floor: smallest scale, same units,
+    so that Gaussians that trained cameras saw at a slant, or widened by small images' pixels, leave no gaps when seen
+    otherwise; `auto`: zero, until in the course of stage 1 what shows through tells how large it must be.
     anisotropic: three scales and a rotation for each Gaussian, to compare by; such an avatar is not exported.
     """
 
@@ -29,15 +32,17 @@ class MlpConfig:
     offset_limit: float = 0.15
     scale_limit: float = 3.0
     scale_init: float = 0.8
-    scale_floor: float = 0.0
+    scale_floor: Any = AUTO
     anisotropic: bool = False
 
 
 def _traits(config: MlpConfig) -> DecoderTraits:
+    finds = config.scale_floor == AUTO
     if not config.anisotropic:
-        return DecoderTraits(mixed_precision=True)
+        return DecoderTraits(mixed_precision=True, finds_floor=finds)
     return DecoderTraits(
         mixed_precision=True,
+        finds_floor=finds,
         not_exported="its Gaussians are anisotropic (decoder.anisotropic=true), which the player does not draw; train "
         "it without that option to export it",
     )
@@ -50,6 +55,8 @@ class MlpDecoder(nn.Module):
     """ReLU multilayer perceptron. Offsets are `offset_limit * tanh`, colours a sigmoid, scales a sigmoid between
     `scale_floor` and `scale_limit` times the spacing: bounded by construction, so that no pose can make the avatar
     explode, and independent of the UV resolution it was trained at."""
+
+    floor: Tensor
 
     def __init__(self, config: MlpConfig, *, in_channels: int):
         super().__init__()
@@ -77,13 +84,15 @@ class MlpDecoder(nn.Module):
         for last in lasts.values():
             nn.init.normal_(last.weight, std=1e-3)  # start on the body, grey, at the initial scale
             nn.init.zeros_(last.bias)
-        if not 0 <= config.scale_floor < config.scale_init < config.scale_limit:
+        floor = 0.0 if config.scale_floor == AUTO else config.scale_floor
+        if not (is_number(floor) and 0 <= floor < config.scale_init < config.scale_limit):
             raise UserError(
-                "decoder: 0 <= scale_floor < scale_init < scale_limit must hold, not "
+                "decoder: scale_floor must be auto, or 0 <= scale_floor < scale_init < scale_limit must hold, not "
                 f"{config.scale_floor}, {config.scale_init}, {config.scale_limit}"
             )
-        start = (config.scale_init - config.scale_floor) / (config.scale_limit - config.scale_floor)
+        start = (config.scale_init - floor) / (config.scale_limit - floor)
         nn.init.constant_(lasts["scale"].bias, math.log(start / (1 - start)))
+        self.register_buffer("floor", torch.tensor(float(floor)))
         if config.anisotropic:
             nn.init.constant_(lasts["rotation"].bias[:1], 1.0)  # the identity
 
@@ -94,7 +103,7 @@ class MlpDecoder(nn.Module):
             if level == self.skip and level > 0:
                 x = torch.cat([x, features], -1)
             x = torch.relu(layer(x))
-        limit, floor = self.config.offset_limit, self.config.scale_floor
+        limit, floor = self.config.offset_limit, self.floor
         share, unit, rotations = torch.sigmoid(self._head("scale", x)), spacing[..., None], None
         if self.config.anisotropic:
             rotations = F.normalize(self._head("rotation", x), dim=-1)
@@ -106,6 +115,10 @@ class MlpDecoder(nn.Module):
             scales=unit * (floor + (self.config.scale_limit - floor) * share),
             rotations=rotations,
         )
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *rest: Any) -> None:
+        state_dict.setdefault(prefix + "floor", self.floor)  # of earlier versions, which had it in the options alone
+        super()._load_from_state_dict(state_dict, prefix, *rest)
 
     def _head(self, name: str, x: Tensor) -> Tensor:
         """A head's output in float32, also where products are in bfloat16: a colour has more than 256 values."""
