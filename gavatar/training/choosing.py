@@ -90,7 +90,11 @@ class Chooser:
         value = least_floor(shares)
         decoder.floor.fill_(value)
         through = f"{100 * shares[0]:.2f} % of the body would be see-through from elsewhere"
-        told = f"{through}: points no smaller than {value} of their spacing" if value else f"{through}: left as it is"
+        told = (
+            f"{through}: points no smaller than {value} of their spacing"
+            if value > FLOORS[0]
+            else f"{through}: left as it is"
+        )
         self.record.verdicts.chose("decoder.scale_floor", Choice(value, round(shares[0], 5), told))
 
     def mended(self, wrong: Mapping[str, list[int]]) -> None:

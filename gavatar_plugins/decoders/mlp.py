@@ -15,6 +15,8 @@ from gavatar.config import AUTO, is_number
 from gavatar.registry import DECODERS, DecoderTraits
 from gavatar_runtime.errors import UserError
 
+FLOOR = 0.2  # where it is left to `auto`, at the start: arms seen at a slant are no net, and scores stay as they are
+
 
 @dataclasses.dataclass
 class MlpConfig:
@@ -22,7 +24,7 @@ class MlpConfig:
     the hidden layer of each head. offset_limit: metres, offsets are bounded by construction. scale_limit: largest
     scale in units of the point spacing; scale_init: at the start, same units. scale_floor: smallest scale, same units,
     so that Gaussians that trained cameras saw at a slant, or widened by small images' pixels, leave no gaps when seen
-    otherwise; `auto`: zero, until in the course of stage 1 what shows through tells how large it must be.
+    otherwise; `auto`: 0.2, until in the course of stage 1 what shows through tells whether it must be larger.
     anisotropic: three scales and a rotation for each Gaussian, to compare by; such an avatar is not exported.
     """
 
@@ -84,7 +86,7 @@ class MlpDecoder(nn.Module):
         for last in lasts.values():
             nn.init.normal_(last.weight, std=1e-3)  # start on the body, grey, at the initial scale
             nn.init.zeros_(last.bias)
-        floor = 0.0 if config.scale_floor == AUTO else config.scale_floor
+        floor = FLOOR if config.scale_floor == AUTO else config.scale_floor
         if not (is_number(floor) and 0 <= floor < config.scale_init < config.scale_limit):
             raise UserError(
                 "decoder: scale_floor must be auto, or 0 <= scale_floor < scale_init < scale_limit must hold, not "
@@ -117,7 +119,9 @@ class MlpDecoder(nn.Module):
         )
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *rest: Any) -> None:
-        state_dict.setdefault(prefix + "floor", self.floor)  # of earlier versions, which had it in the options alone
+        if prefix + "floor" not in state_dict:  # of earlier versions, which had it in the options alone, 0 by default
+            former = 0.0 if self.config.scale_floor == AUTO else self.config.scale_floor
+            state_dict[prefix + "floor"] = torch.full_like(self.floor, former)
         super()._load_from_state_dict(state_dict, prefix, *rest)
 
     def _head(self, name: str, x: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from ...avatar.trainable import Pose
 from ..scene import Scene
 from .prior import static_look
 
-FLOORS = (0.0, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45)  # of the spacing; from 0.5 on pictures blur
+FLOORS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45)  # of the spacing; the first cost no score, from 0.5 on pictures blur
 CLOSED = 0.003  # share of the body's inside through which the background may show
 HOLE = 0.9  # opacity below which it shows
 VIEWS, FINER = 16, 2  # pictures that are drawn for each floor, at this many times the trained size
