@@ -1,9 +1,10 @@
 """What a CUDA machine shows: python benchmarks/gpu_check.py [--wheels DIR] [--kernels FILE] [--out DIR] [--capture DIR]
 
 In this order, within --minutes altogether: the rasterizer tests on CUDA; times of the rasterizers there, by CUDA
-events; pictures and gradients of gsplat beside those of torch, whose rule is gavatar's own; some training steps at
-512 x 512 texels with each. A short table comes last; OUT/gpu_check.json has the same and more, and OUT/gpu_check.log
-all output.
+events; pictures and gradients of gsplat beside those of torch, whose rule is gavatar's own; playback from pose to image
+that never leaves the device; training steps by number of Gaussians; some training with each rasterizer; last, in the
+time that is left, the presets `default` and `paper` on --scored with their scores. A short table comes at the end;
+OUT/gpu_check.json has the same and more, and OUT/gpu_check.log all output.
 
 It needs no installation: the packages are taken from this tree, and what else the machine lacks from the wheels in
 --wheels, which are unpacked into a temporary folder. gsplat compiles its kernels at first use, which takes minutes;
@@ -36,13 +37,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(os.environ.get("OUT", "gpu_check")))
     parser.add_argument("--capture", type=Path, default=ROOT / "gavatar" / "data" / "studio_demo")
     parser.add_argument("--device", default="cuda", choices=("cuda", "cpu"))
-    parser.add_argument("--minutes", type=float, default=4.0)
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--scored", type=Path, help="the capture of the presets (default: --capture)")
     parser.add_argument("--steps", type=int, default=60, help="of training, with each rasterizer")
     parser.add_argument("--quick", action="store_true", help="small scenes, few steps: to try the script itself")
-    parser.add_argument("--only", choices=("timings", "agreement"), help="that part, in this environment as it is")
+    parser.add_argument("--only", choices=tuple(ALONE), help="that part, in this environment as it is")
     arguments = parser.parse_args()
     if arguments.only:
-        {"timings": print_timings, "agreement": print_agreement}[arguments.only](arguments)
+        ALONE[arguments.only](arguments)
         return
     deadline = time.monotonic() + 60 * arguments.minutes
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -67,7 +69,7 @@ def environment(folder: Path, arguments) -> dict[str, str]:
     for part in (ROOT / "gavatar").iterdir():
         (package / part.name).symlink_to(part)
     (package / "conf").symlink_to(ROOT / "conf")
-    paths = [layout, ROOT / "deploy", ROOT / "tests", ROOT, site]
+    paths = [layout, ROOT / "deploy", ROOT / "tests" / "support", ROOT, site]
     return {
         "TORCH_CUDA_ARCH_LIST": "9.0",
         "MAX_JOBS": str(os.cpu_count()),
@@ -94,7 +96,8 @@ class Checks:
         if self.arguments.device == "cuda":
             self.gsplat_kernels()
         self.save()
-        for part in (self.tests, self.timings, self.agreement, self.training):
+        parts = (self.tests, self.timings, self.agreement, self.playback, self.steps, self.training, self.presets)
+        for part in parts:
             part()
             self.save()
 
@@ -152,10 +155,13 @@ class Checks:
                    "tests/plugins/rasterizers", *which]  # fmt: skip
         output = self.call("tests", command, 120)
         self.results["tests"] = [line for line in output.splitlines() if " passed" in line or " failed" in line][-1:]
+        counts = re.findall(r"(\d+) (passed|failed|skipped|deselected)", " ".join(self.results["tests"]))
+        self.results["tests counted"] = {name: int(number) for number, name in counts}
         self.results["tests failed"] = re.findall(r"^FAILED (.*)$", output, re.M)
 
     def part(self, name: str, limit: float) -> list[dict]:
         command = [sys.executable, str(Path(__file__).resolve()), "--only", name, "--device", self.arguments.device]
+        command += ["--capture", str(self.arguments.capture)]
         output = self.call(name, command + ["--quick"] * self.arguments.quick, limit)
         return [json.loads(line) for line in output.splitlines() if line.startswith("{")]
 
@@ -164,6 +170,44 @@ class Checks:
 
     def agreement(self) -> None:
         self.results["agreement"] = self.part("agreement", 40)
+
+    def playback(self) -> None:
+        self.results["playback"] = self.part("playback", 60)
+
+    def steps(self) -> None:
+        """Seconds a training step of both stages, by number of Gaussians (`training_step.py`)."""
+        a, path = self.arguments, self.arguments.out / "steps.json"
+        preset, counts, steps = ("demo", "1000", 1) if a.quick else ("default", "13000,51000,200000", 5)
+        self.call("steps", [
+            sys.executable, str(ROOT / "benchmarks" / "training_step.py"), f"capture={a.capture}", f"device={a.device}",
+            f"experiment={preset}", "--gaussians", counts, "--steps", str(steps), "--json", str(path),
+        ], 90)  # fmt: skip
+        self.results["steps"] = json.loads(path.read_text())["rows"] if path.is_file() else []
+
+    def presets(self) -> None:
+        """Whole trainings by preset at full size, then their scores; what does not fit into the time is `failed`."""
+        a, rows = self.arguments, []
+        small = ["stage1.steps=2", "stage2.steps=1", "stage1.levels=[{until:1.0,gaussians:1000,image:0.25}]",
+                 "stage2.levels=[{until:1.0,gaussians:1000,image:0.25}]"]  # fmt: skip
+        for k, preset in enumerate(("demo",) if a.quick else ("default", "paper")):
+            run = a.out / f"run_{preset}"
+            left = (self.deadline - time.monotonic()) / (1 if a.quick or k else 2)  # half of it for each
+            start = time.monotonic()
+            self.call(f"train {preset}", [
+                sys.executable, "-m", "gavatar.cli.train", f"capture={a.scored or a.capture}", f"out={run}",
+                f"experiment={preset}", f"device={a.device}", "progress=false", "overwrite=true",
+                *(small if a.quick else ()),
+            ], left)  # fmt: skip
+            row = {"preset": preset, "seconds": round(time.monotonic() - start, 1)}
+            if (run / "metrics.json").is_file():
+                self.call(f"scores {preset}", [sys.executable, "-m", "gavatar.cli.evaluate", str(run), "--no-fit",
+                                               *(["--no-perceptual"] if a.quick else ())], 120)  # fmt: skip
+                row["gaussians"] = json.loads((run / "metrics.json").read_text())["gaussians"]
+            if (run / "evaluation.json").is_file():
+                row["scores"] = json.loads((run / "evaluation.json").read_text())["rows"]
+            rows.append(row)
+            shutil.rmtree(run, ignore_errors=True)
+        self.results["presets"] = rows
 
     def training(self) -> None:
         """Steps of stage 1 on whole images, no coarse levels: what the finest level costs."""
@@ -198,6 +242,13 @@ class Checks:
                   f"{row['forward_backward_ms']:18.3f}")  # fmt: skip
         for row in r.get("agreement", []):
             print(json.dumps(row))
+        for row in r.get("playback", []):
+            print(f"playback {row['rasterizer']}: {row['gaussians']} Gaussians at {row['size']}, "
+                  f"{row['frame_ms']:.2f} ms from pose to image")  # fmt: skip
+        for row in r.get("steps", []):
+            print(f"a step of stage {row['stage']}: {row['gaussians']} Gaussians, {row['total']} s")
+        for row in r.get("presets", []):
+            print("preset", json.dumps(row))
         for row in r.get("training", []):
             print(f"training {row['rasterizer']}: {row['gaussians']} Gaussians, {row['steps']} steps in "
                   f"{row['seconds']} s")  # fmt: skip
@@ -306,6 +357,48 @@ def print_agreement(arguments) -> None:
                 row[f"gradient_{name}"] = float((a - b).norm() / b.norm())
             print(json.dumps(row), flush=True)
 
+
+def print_playback(arguments) -> None:
+    """A JSON line a size: an avatar of the preset `default`, untrained, from a pose on the device to an image on the
+    device: encoder, decoder, skinning and drawing. The encoder's maps of the body come from the host beforehand."""
+    import tempfile
+
+    import torch
+
+    from gavatar.config import check, compose_config
+    from gavatar.training.trainer import Trainer
+
+    device = arguments.device
+    preset, gaussians, sizes = ("demo", 1000, (64,)) if arguments.quick else ("default", 200_000, (512, 1024))
+    name = "gsplat" if device == "cuda" else "native"
+    level = f"levels=[{{until: 1.0, gaussians: {gaussians}, image: 1.0}}]"
+    with tempfile.TemporaryDirectory() as folder:
+        overrides = [f"capture={arguments.capture}", f"experiment={preset}", f"device={device}", f"rasterizer={name}",
+                     f"stage1.{level}", f"stage2.{level}", f"out={folder}", "progress=false"]  # fmt: skip
+        trainer = Trainer(check(compose_config(overrides)), Path(folder))
+    scene, plan = trainer.scene, trainer.plans[-1]
+    scene.place(plan.stage.levels[-1])
+    avatar, frames = scene.avatar.eval(), scene.frames[:8]
+    camera = scene.footage.at(1.0).cameras[0]
+    moving = avatar.encoder is not None
+    inputs = {frame: scene.encoder_inputs([frame]) if moving else [] for frame in frames}
+    for size in sizes:
+        seen, calls = camera.resized(size, size), iter(range(1 << 30))
+
+        @torch.no_grad()
+        def frame(seen=seen, calls=calls):
+            at = frames[next(calls) % len(frames)]
+            features = avatar.encode(*inputs[at]) if moving else None
+            return scene.draw(avatar.attributes(features), scene.motion([at]), [seen])
+
+        if str(frame()[0].device.type) != device:
+            raise SystemExit(f"the image is on {frame()[0].device}, not on {device}")
+        p10, median, p90 = _quantiles(frame, device)
+        row = {"rasterizer": name, "gaussians": len(avatar.surface), "size": size, "dynamic": moving}
+        print(json.dumps(row | {"frame_ms": median, "p10_ms": p10, "p90_ms": p90}), flush=True)
+
+
+ALONE = {"timings": print_timings, "agreement": print_agreement, "playback": print_playback}
 
 if __name__ == "__main__":
     main()

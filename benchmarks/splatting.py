@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.insert(0, str(ROOT / "tests" / "support"))
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch, as `import gavatar` does: idle threads sleep
 
 import reference_splat  # noqa: E402

@@ -53,6 +53,11 @@ class NativeRasterizer(Rasterizer):
         self.stage_seconds: dict[str, float] = {}
 
     @property
+    def entries(self) -> int:
+        """Pairs of a Gaussian and a tile that it reaches, in the last call."""
+        return int(self._report.entries)
+
+    @property
     def wants_normals(self) -> bool:
         """Whether `Gaussians.normals` would be of use."""
         return self.config.backface > 0
