@@ -25,7 +25,6 @@ def modules(tmp_path_factory) -> Path:
         ("pose_landmark/pose_landmark_full.tflite", "pose/pose_landmark_full.onnx"),
         ("hand_landmark/hand_landmark_full.tflite", "hands/hand_landmark_full.onnx"),
         ("holistic_landmark/hand_recrop.tflite", "hands/hand_recrop.onnx"),
-        ("face_landmark/face_landmark.tflite", "face/face_landmark.onnx"),
     ],
 )
 def test_converted_networks_answer_as_their_originals(modules, original, converted):
