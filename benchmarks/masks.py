@@ -4,7 +4,7 @@ of a room, with shadows that move with the person and with noise, made into a vi
     python benchmarks/masks.py studio_male --room real_p2s/videos/cam02.mp4 --room-masks real_p2s/masks/cam02 --out DIR
 
 Prints intersection over union, the mean absolute error of alpha within 5 pixels of the true border, and the error of
-the premultiplied colours there (grey levels), with which the wall shows up. --shake moves the camera by hand.
+the premultiplied colours there (grey levels), with which the wall shows up.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from gavatar.capture.capture import Capture, View, read_capture
+from gavatar.images.unmixing import without_background
 from gavatar.preparation.detect import Detector
 from gavatar.preparation.draw import iou
 from gavatar.preparation.footage_source import SourceOptions, open_source
@@ -71,15 +72,20 @@ def band_of(alpha: np.ndarray) -> np.ndarray:
     return (cv2.distanceTransform(inside, cv2.DIST_L2, 5) + cv2.distanceTransform(1 - inside, cv2.DIST_L2, 5)) <= BAND
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def room_arguments(description: str | None) -> argparse.ArgumentParser:
+    """What every benchmark of a capture before a room is given."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("capture", type=Path)
     parser.add_argument("--room", type=Path, required=True)
     parser.add_argument("--room-masks", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--step", type=int, default=2)
     parser.add_argument("--frames", type=int, default=140)
-    arguments = parser.parse_args()
+    return parser
+
+
+def main() -> None:
+    arguments = room_arguments(__doc__).parse_args()
     capture, out = read_capture(arguments.capture), arguments.out
     out.mkdir(parents=True, exist_ok=True)
     camera = capture.cameras["cam0"]
@@ -91,15 +97,12 @@ def main() -> None:
     source = open_source(clip, SourceOptions(detector=Detector(out / "masks", progress=False)))
     seconds = time.perf_counter() - start
     (footage,) = source.footage
-    rows = []
+    rows, plate = [], footage.background
     for number, image, mask in zip(footage.numbers, footage.images(), footage.masks(), strict=True):
         color, alpha = capture.load(View("cam0", frames[number]))
         band, found = band_of(alpha), mask.astype(np.float32) / 255
-        plate = getattr(footage, "background", None)
         mixed = image.astype(np.float32) / 255 * found[..., None]
         if plate is not None:
-            from gavatar.images.unmixing import without_background
-
             mixed = without_background(image.astype(np.float32) / 255, found, plate.astype(np.float32) / 255)
         wrong = np.abs(mixed[..., ::-1] - color)[band].mean()
         rows.append((iou(found > 0.5, alpha > 0.5), np.abs(found - alpha)[band].mean(), 255 * wrong))

@@ -11,14 +11,13 @@ similarity for the whole clip, millimetres; camera: error of the turn between ea
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 from pathlib import Path
 
 import cv2
 import numpy as np
-from masks import before_room, room_picture
+from masks import before_room, room_arguments, room_picture
 
 from gavatar.capture.capture import Capture, View, read_capture
 from gavatar.images.metrics import joint_errors
@@ -95,13 +94,7 @@ def score(found: Capture, given: Capture, rows: list[int], turns: np.ndarray) ->
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("capture", type=Path)
-    parser.add_argument("--room", type=Path, required=True)
-    parser.add_argument("--room-masks", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--step", type=int, default=2)
-    parser.add_argument("--frames", type=int, default=140)
+    parser = room_arguments(__doc__)
     parser.add_argument("--fov", type=float, default=29.1, help="degrees; the capture's own by default")
     arguments = parser.parse_args()
     load_plugins()

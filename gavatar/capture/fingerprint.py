@@ -13,8 +13,9 @@ from .capture import Capture, View
 
 
 def fingerprint(capture: Capture, split: str) -> str:
-    """16 hexadecimal digits of what training on a split reads: its views, their cameras and lenses, the motion, and the
-    sizes of the files of images and masks (not their pixels, which would take as long to read as training does)."""
+    """16 hexadecimal digits of what training on a split reads: its views, their cameras, lenses and empty rooms, the
+    motion, and the sizes of the files of images and masks (not their pixels, which would take as long to read as
+    training does)."""
     digest = hashlib.sha256()
     for part in _parts(capture, capture.views(split)):
         digest.update(part)
@@ -27,6 +28,9 @@ def _parts(capture: Capture, views: list[View]) -> Iterator[bytes]:
     for array in (motion.poses, motion.trans, motion.betas, motion.expression):
         yield _plain(None if array is None else list(array.shape))
         yield b"" if array is None else np.ascontiguousarray(array).tobytes()
+    for name in sorted({view.camera for view in views} & set(capture.rooms)):  # their colours are taken out on loading
+        yield _plain([name, list(capture.rooms[name].shape)])
+        yield np.ascontiguousarray(capture.rooms[name]).tobytes()
     for view in views:
         camera = capture.camera(view)
         lens = capture.lenses.get(view.camera)

@@ -18,14 +18,12 @@ class PerceptualConfig(LossConfig):
 
     depth: how many resolutions of the network are compared, 1 (edges, cheapest) to 5. crop: side in pixels of a random
     window on the person, 0 for the whole image. max_size: longest side in pixels after averaging down, 0 to keep it.
-    views: of a batch that are looked at, 0 for all: batches are drawn at random, so some of one tell what all do.
     """
 
     weight: float = 0.2
     depth: int = 3
     crop: int = 0
     max_size: int = 0
-    views: int = 0
 
 
 @LOSSES.register(
@@ -36,8 +34,7 @@ class PerceptualConfig(LossConfig):
     traits=LossTraits(judges_poses=False),  # its network at every step of a fit costs more than it tells
 )
 class Perceptual:
-    """Mean of `gavatar.images.perceptual.perceptual_distance` over the batch or some of its views, in [0, 2]. It is not
-    LPIPS."""
+    """Mean over the batch of `gavatar.images.perceptual.perceptual_distance`, in [0, 2]. It is not LPIPS."""
 
     def __init__(self, config: PerceptualConfig):
         if config.depth not in range(1, MAX_DEPTH + 1):
@@ -46,18 +43,11 @@ class Perceptual:
             )
         check_size("losses.perceptual.crop", config.crop)
         check_size("losses.perceptual.max_size", config.max_size)
-        if not (isinstance(config.views, int) and not isinstance(config.views, bool) and config.views >= 0):
-            raise UserError(f"losses.perceptual.views: must be a whole number of views, not {config.views!r}")
         self.config = config
 
     def __call__(self, inputs: LossInputs) -> Tensor:
-        config, some = self.config, slice(self.config.views or None)
+        config = self.config
         render, target = cheaper_pair(
-            inputs.render[some],
-            inputs.target[some],
-            inputs.mask[some],
-            config.crop,
-            config.max_size,
-            step_seed(inputs.progress),
+            inputs.render, inputs.target, inputs.mask, config.crop, config.max_size, step_seed(inputs.progress)
         )
         return perceptual_distance(render, target, depth=config.depth).mean()

@@ -23,10 +23,8 @@ BINS = 16  # of a channel, for the colours of the person
 STRAY = 0.01  # probability of a colour that neither room nor person explains
 # Largest logarithms of odds: of a colour against the person, who may wear the room's; for them; of network and colour.
 ROOM_CAP, CAP, MOST_ODDS = 3.0, 6.0, 8.0
-REACH, FLAT = (
-    0.006,
-    (0.02 * 255) ** 2,
-)  # of the guided filter: its radius, of the person's size; a flat window's variance
+# of the guided filter: its radius, of the person's size; a flat window's variance
+REACH, FLAT = 0.006, (0.02 * 255) ** 2
 SURE_CONTRAST = 4.0  # of the noise, distance of the colours of person and room at which each counts half on the rim
 
 

@@ -11,10 +11,7 @@ import onnxruntime
 from gavatar_runtime.decoding.network import session_options
 from gavatar_runtime.errors import UserError
 
-SIDE, MULTIPLE = (
-    512,
-    32,
-)  # pixels of the shorter side where the network leaves sizes open, and what sides must divide by
+SIDE, MULTIPLE = 512, 32  # pixels of the shorter side where the network leaves it open, and what sides divide by
 AROUND = 0.15  # of the person's box: how much of the picture the network is shown beside it
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from omegaconf import OmegaConf
@@ -135,7 +136,14 @@ def test_a_fingerprint_is_of_what_training_reads(project):
         arrays = dict(file)
     arrays["trans"] = arrays["trans"] + 1e-3
     np.savez("captures/anna/body.npz", **arrays)
-    assert of() != changed
+    moved = of()
+    assert moved != changed
+    room = Path("captures/anna/backgrounds/cam0.png")  # its colours are taken out of the rims
+    room.parent.mkdir()
+    for grey in (100, 101):
+        cv2.imwrite(str(room), np.full((8, 8, 3), grey, np.uint8))
+        assert of() != moved
+        moved = of()
 
 
 def test_a_run_that_was_moved_without_its_capture_still_finds_it(project):

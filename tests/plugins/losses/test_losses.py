@@ -170,7 +170,6 @@ def test_a_loss_starts_and_decays_with_progress():
         ({"mask": {"norm": "l3"}}, r"losses\.mask\.norm: must be one of l1, l2"),
         ({"perceptual": {"depth": 9}}, r"losses\.perceptual\.depth"),
         ({"perceptual": {"crop": -4}}, r"losses\.perceptual\.crop"),
-        ({"perceptual": {"views": -1}}, r"losses\.perceptual\.views"),
         ({"l1": 0}, r"no loss has a weight above zero"),
         ({}, r"no loss has a weight above zero"),
     ],
@@ -178,12 +177,3 @@ def test_a_loss_starts_and_decays_with_progress():
 def test_a_wrong_composition_is_a_users_mistake(losses, message):
     with pytest.raises(UserError, match=message):
         LossComposer(losses)
-
-
-def test_the_perceptual_loss_of_some_views_is_that_of_a_batch_of_them():
-    inputs = disturbed(perfect(batch=2))
-    some = dataclasses.replace(inputs, **{f: getattr(inputs, f)[:1] for f in ("render", "target", "alpha", "mask")})
-    whole = LossComposer({"perceptual": 1.0})
-    first = LossComposer({"perceptual": {"weight": 1.0, "views": 1}})
-    assert first(inputs)[1] == whole(some)[1]
-    assert first(inputs)[1] != whole(inputs)[1]
