@@ -12,12 +12,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gavatar_runtime.geometry.kinematics import joint_transforms
 from gavatar_runtime.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
 from gavatar_runtime.values.body import BodyData
 from gavatar_runtime.values.camera import Camera
 
 from ...body.torch_rotations import matrix_from_axis_angle as torch_matrix
 from ..anatomy import joint_ranges
+from ..fit import huber
 from .anatomy import HandAnatomy, hand_anatomy
 from .landmarks import BONES, LEAST_SIDE, SIDES, HandLandmarks
 
@@ -177,7 +179,7 @@ class _HandFitter:
             distance = gap.square().sum(-1).add(1e-12).sqrt()
             image = image + (_robust(distance, IMAGE_SIGMA).mean(2) * self.belief[c]).mean()
             bend = (2 - 2 * (direction * self.bones[c]).sum(-1)).clamp_min(0).add(1e-12).sqrt()
-            bones = bones + (_huber(bend, BONE_SIGMA) * self.known[c] * self.belief[c][..., None]).mean()
+            bones = bones + (huber(bend, BONE_SIGMA) * self.known[c] * self.belief[c][..., None]).mean()
         drop = self.fingers.unflatten(2, (5, 3))[:, :, 1:, 1:, 1]  # two last joints of four fingers share tendons
         terms = {
             "image": image, "bones": bones,
@@ -204,7 +206,7 @@ class _HandFitter:
         step = hand[:, :-1].transpose(-1, -2) @ hand[:, 1:]
         spin = (step[:, 1:] - step[:, :-1]).square().sum((-1, -2)).add(1e-12).sqrt() * (scale / 2**0.5)
         turn = (self.fingers[:, 2:] - 2 * self.fingers[:, 1:-1] + self.fingers[:, :-2]).square().sum(-1)
-        return 3 * _huber(spin, 1.0).mean() + _huber(turn.add(1e-12).sqrt() * scale, 1.0).sum(-1).mean()
+        return 3 * huber(spin, 1.0).mean() + huber(turn.add(1e-12).sqrt() * scale, 1.0).sum(-1).mean()
 
     def run(self) -> tuple[np.ndarray, np.ndarray]:
         """(2, T, 17, 3) axis-angle of elbow, wrist and fingers, and (2,) pixels of error."""
@@ -248,27 +250,13 @@ class _HandFitter:
 def _placed(data: BodyData, anatomy: HandAnatomy, elbows: list[int], poses: np.ndarray, trans: np.ndarray,
             betas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """(T, 2, 3, 3) the forearms' rotations and (T, 2, 3) the wrists' places in the world."""
-    local = matrix_from_axis_angle(poses)
-    turned: list[np.ndarray] = []
-    rest = data.shaped(betas)[1]
-    places: list[np.ndarray] = []
-    for j, parent in enumerate(data.parents):
-        if parent < 0:
-            turned.append(local[:, j])
-            places.append(rest[j] + trans)
-        else:
-            turned.append(turned[parent] @ local[:, j])
-            places.append(places[parent] + turned[parent] @ (rest[j] - rest[parent]))
-    return np.stack([turned[e] for e in elbows], 1), np.stack([places[w] for w in anatomy.joints[:, 0]], 1)
+    T = joint_transforms(poses, data.shaped(betas)[1], data.parents)
+    return T[:, elbows, :3, :3], T[..., :3, 3][:, anatomy.joints[:, 0]] + trans[:, None]
 
 
 def _robust(residual: Tensor, sigma: float) -> Tensor:
     square = (residual / sigma) ** 2
     return square / (1 + square / 25)
-
-
-def _huber(residual: Tensor, sigma: float) -> Tensor:
-    return 2 * (torch.sqrt(1 + (residual / sigma) ** 2) - 1)
 
 
 def _tensor(array: object) -> Tensor:
